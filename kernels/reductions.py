@@ -1,5 +1,5 @@
 """Work in parts of a fixed size, in an order that does not depend on threads, so that sums have the same bits for any number of
-them; and what is summed of balls so, in double precision where the device has it."""
+them; and sums over balls so, in double precision where the device has it."""
 
 from taichi_sim.device.engine import on_device, ti
 
@@ -11,17 +11,18 @@ LONG_PART = 1024  # terms that one thread sums, where one thread then adds up al
 
 
 def part_size() -> int:
-    """The same where parts are joined first: fewer on a device, which has thousands of threads."""
+    """Number of terms that one thread sums, where parts are joined in groups first: fewer on a device, which has thousands of
+    threads."""
     return 64 if on_device() else LONG_PART
 
 
 def parts_of(number: int) -> int:
-    """In how many parts so many balls are summed."""
+    """Number of parts in which `number` balls are summed."""
     return -(-number // part_size())
 
 
 def groups_of(parts: int) -> int:
-    """In how many groups a device sums the sums of so many parts before one thread adds up the rest; 0 on a CPU."""
+    """Number of groups in which a device sums the sums of so many parts before one thread adds up the rest; 0 on a CPU."""
     return parts_of(parts) if on_device() else 0
 
 
@@ -36,7 +37,7 @@ def each_part(count: ti.template(), visit: ti.template(), arguments: ti.template
 
 @ti.func
 def members(c, parts: ti.template(), n):
-    """How many of n balls part c of `parts` has. On a CPU `parts` is parts_of(n)."""
+    """Number of n balls that part c of `parts` has. On a CPU `parts` is parts_of(n)."""
     number = ti.min(LONG_PART, n - c * LONG_PART)
     if ti.static(on_device()):
         number = (n - c + parts - 1) // parts
@@ -67,7 +68,7 @@ def odd_then_even(count: ti.template(), visit: ti.template(), arguments: ti.temp
 
 @ti.func
 def by_parity(count: ti.template(), visit: ti.template(), arguments: ti.template(), parities: ti.template()):
-    """At the top level of a kernel only an unrolled loop leaves the inner ones parallel."""
+    """Loop over parts of each parity. At the top level of a kernel only an unrolled loop leaves the inner ones parallel."""
     grain = ti.static(1 if on_device() else GRAIN)
     for parity in ti.static(parities):
         for k in range((count + 1 - parity) // 2 * grain):
@@ -101,7 +102,7 @@ def total(column: ti.template(), parts: ti.template()):
 
 @ti.func
 def good(ball, far):
-    """Whether x and v are numbers below `far`. One by one: a comparison with nan is false, and a maximum may drop it."""
+    """True if x and v are numbers below `far`. One by one: a comparison with nan is false, and a maximum may drop it."""
     fine = True
     for a in ti.static(range(ball.x.n)):
         fine = fine and ti.abs(ball.x[a]) < far and ti.abs(ball.v[a]) < far

@@ -52,7 +52,7 @@ def cosine(angle):
 
 @ti.func
 def arccosine(a):
-    """From 0 to pi, of a from -1 to 1."""
+    """Angle from 0 to pi whose cosine is a, from -1 to 1."""
     angle = a
     if ti.static(has_right_sines()):
         angle = ti.acos(a)

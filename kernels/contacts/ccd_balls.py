@@ -50,7 +50,7 @@ def shorten_ways(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def one_round(solver: ti.template(), ball: ti.template(), fixed: ti.template()):
-    """Where each path stops, given where the others did in the round before. `shortened`: whether any changed."""
+    """Shorten each path once, given where the others stopped in the round before. Sets `shortened` if any changed."""
     each(solver.swept[0].balls, solver.n, fixed, find_time_of_impact, (solver, ball))
     if ti.static(solver.plan.sticks):
         each(solver.swept[0].sticks, solver.sticks.m, fixed, sweep_stick, (solver, ball))
@@ -59,21 +59,21 @@ def one_round(solver: ti.template(), ball: ti.template(), fixed: ti.template()):
 
 @ti.func
 def begin_path(solver: ti.template(), i):
-    """Nothing is known to stop ball i."""
+    """Reset the path of ball i: nothing is known to stop it."""
     solver.time_of_impact[i] = 1.0
     solver.next_time_of_impact[i] = 1.0
 
 
 @ti.func
 def find_time_of_impact(i, solver: ti.template(), ball: ti.template()):
-    """Where the path of ball i stops at another ball, if it is fast."""
+    """Find where the path of ball i stops at another ball, if the ball is fast."""
     if is_fast(solver, i):
         ti.atomic_min(solver.next_time_of_impact[i], first_touch(solver, solver.pairs.grid, ball, i))
 
 
 @ti.func
 def take_time_of_impact(i, solver: ti.template()):
-    """What a round has found for ball i."""
+    """Take over the time of impact that a round has found for ball i."""
     if solver.next_time_of_impact[i] < solver.time_of_impact[i]:
         solver.swept[0].shortened = 1
     solver.time_of_impact[i] = solver.next_time_of_impact[i]
@@ -103,13 +103,13 @@ def note_displacement(solver: ti.template(), i, shift):
 
 @ti.func
 def is_fast(solver: ti.template(), i):
-    """Whether ball i moved further than its radius."""
+    """True if ball i moved further than its radius in this step."""
     return solver.displacement[i].dot(solver.displacement[i]) > solver.model.radius[i] ** 2
 
 
 @ti.func
 def start(solver: ti.template(), ball: ti.template(), i):
-    """Where ball i was before it moved."""
+    """Position of ball i [m] before it moved."""
     return ball[i].x - solver.displacement[i]
 
 
@@ -198,7 +198,7 @@ def meeting(r, d, distance, end):
 
 @ti.func
 def sweep_stick(s, solver: ti.template(), ball: ti.template()):
-    """Let stick s and the balls that would cross each other stop before that."""
+    """Stop stick s and the balls that would cross each other before they do."""
     one, two = solver.sticks.one[s], solver.sticks.two[s]
     moved = ti.max(solver.displacement[one].norm(), solver.displacement[two].norm())
     # the box around the stick's way
@@ -220,7 +220,7 @@ def sweep_stick(s, solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def path(solver: ti.template(), ball: ti.template(), i, t):
-    """Where ball i is at part t of the step."""
+    """Position of ball i [m] at part t of the step."""
     return ball[i].x + (ti.min(t, solver.time_of_impact[i]) - 1.0) * solver.displacement[i]
 
 
@@ -251,7 +251,7 @@ def time_of_stick_touch(solver: ti.template(), ball: ti.template(), i, one, two)
 
 @ti.func
 def present_displacement(solver: ti.template(), i, t):
-    """How ball i moves at part t of the step [m per step]."""
+    """Motion of ball i at part t of the step [m per step]."""
     return ti.select(t < solver.time_of_impact[i], 1.0, 0.0) * solver.displacement[i]
 
 

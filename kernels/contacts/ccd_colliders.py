@@ -97,9 +97,9 @@ def meeting(
 
 @ti.func
 def is_convex(colliders: ti.template(), k, face, within):
-    """Whether collider k, or a face of it, is convex as seen from outside, so that it lies behind the plane that touches it where
-    it is nearest: each such plane is treated as a wall, which is exact for faces and converges like Newton's method for the
-    rest."""
+    """True if collider k, or a face of it, is convex as seen from outside, so that it lies behind the plane that touches it
+    where it is nearest: each such plane is treated as a wall, which is exact for faces and converges like Newton's method for
+    the rest."""
     convex = face != WHOLE or not within
     if ti.static(colliders.has_mesh or colliders.has_custom):
         convex = convex and colliders.shape[k].kind != MESH and colliders.shape[k].kind != CUSTOM
@@ -125,8 +125,8 @@ def stride(gap, u, pull, fastest, convex, r, never):
 
 @ti.func
 def between(left, right, above, below):
-    """Where to look for the meeting between the times left and right at which the gap is `above` and `below` zero: where a line
-    between the two crosses zero, but not too near to either (regula falsi, bounded)."""
+    """Next time to try for the meeting, between the times left and right at which the gap is `above` and `below` zero: where a
+    line between the two crosses zero, but not too near to either (regula falsi, bounded)."""
     part = above / ti.max(above - below, 1e-30)
     return left + (right - left) * ti.max(0.05, ti.min(0.95, part))
 

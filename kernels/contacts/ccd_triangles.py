@@ -45,8 +45,8 @@ def expire(triangles: ti.template()):
 
 @ti.func
 def decide(triangles: ti.template(), solver: ti.template(), ball: ti.template()):
-    """Whether anything is looked for, and what balls have moved in common since the last search, as a sample of them says. Only
-    how balls move relative to each other brings them together: whatever is taken as common, drifts are apart as before."""
+    """Decide whether to search at all, and find what balls have moved in common since the last search, from a sample of them.
+    Only how balls move relative to each other brings them together: whatever is taken as common, drifts are apart as before."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         triangles.work[0].lists = 1
@@ -69,8 +69,8 @@ def decide(triangles: ti.template(), solver: ti.template(), ball: ti.template())
 
 @ti.func
 def begin(triangles: ti.template(), solver: ti.template(), ball: ti.template(), i):
-    """Nothing is listed of ball i yet, and this is where it goes. Whether it has drifted so far that a pair might be near that is
-    no candidate: two balls that drift by half of the skin each."""
+    """Begin the search for ball i: clear its list, note where it goes, and find out whether it has drifted so far that a pair
+    might be near that is no candidate: two balls that drift by half of the skin each."""
     expected = ball[i].v / solver.rate[0]
     triangles.expected_displacement[i] = expected
     begin_entries(triangles, i)
@@ -152,7 +152,7 @@ def place_planes(c, triangles: ti.template(), ball: ti.template()):
 
 @ti.func
 def hold_contact_apart(c, triangles: ti.template(), ball: ti.template()):
-    """Cut short the ways that cross them all the same."""
+    """Cut short the ways of the balls of contact c that cross its planes all the same."""
     hold_apart(triangles, ball, balls_of(triangles, c), triangles.contact[c].normal, triangles.contact[c].kind)
 
 

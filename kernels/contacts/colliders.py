@@ -1,4 +1,4 @@
-"""Where colliders are, and distances from them.
+"""Poses of colliders, and distances from them.
 
 A collider's pose is that at the start of a step; within the step it moves with constant velocity and angular velocity to the
 pose at its end. All distances are signed: negative inside the solid.
@@ -136,7 +136,8 @@ def box_distance(p, half):
 
 @ti.func
 def round_distance(p, half, radius):
-    """The same for all points within `radius` of a stretch of the x axis."""
+    """Signed distance [m] of p from the solid of all points within `radius` of a stretch of the x axis, and the direction out
+    of it."""
     q = p
     q[0] -= ti.max(-half[0], ti.min(half[0], p[0]))
     d = q.norm()
@@ -200,7 +201,8 @@ def interpolated(grid: ti.template(), shape, first, t, out):
 
 @ti.func
 def custom_distance(distance_from: ti.template(), p, h):
-    """The same for a user-defined distance function: the direction is that of its differences at points h [m] away."""
+    """Signed distance [m] of p by a user-defined distance function, and the direction out of the solid, from the differences
+    between points h [m] away."""
     n = 0.0 * p
     for e in range(2 * p.n):
         sign = 1.0 - 2.0 * (e % 2)
@@ -264,7 +266,7 @@ def face_distance(colliders: ti.template(), k, face, p, d, n, within):
 
 @ti.func
 def near(colliders: ti.template(), k, x, reach):
-    """Whether a point lies within `reach` of the sphere about collider k."""
+    """True if a point lies within `reach` [m] of the sphere about collider k."""
     q = x - colliders.pose[k].x
     far = colliders.shape[k].extent + reach
     return q.dot(q) <= far * far

@@ -1,5 +1,8 @@
-"""For each ball, the sorted list of its entries in contacts of several balls: gathered by ball, sums come out the same whatever
-the threads did, and nothing is added by atomics. The entries of ball i are first[i] to first[i] + number[i]."""
+"""Sorted list, for each ball, of its entries in contacts of several balls.
+
+Sums that are gathered by ball come out the same whatever the threads did, and nothing is added by atomics. The entries of ball
+i are first[i] to first[i] + number[i].
+"""
 
 from taichi_sim.kernels.loops import each
 
@@ -14,7 +17,7 @@ def each_contact(contacts: ti.template(), visit: ti.template(), arguments: ti.te
 
 @ti.func
 def begin_entries(contacts: ti.template(), i):
-    """Nothing is listed yet, and ball i has no entry; for each ball, in a loop before contacts are found."""
+    """Clear the list of contacts and the entries of ball i; for each ball, in a loop before contacts are found."""
     contacts.number[i] = 0
     if i == 0:
         contacts.used[0] = 0

@@ -23,7 +23,7 @@ CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
 
 @ti.func
 def pair_law(model: ti.template(), one, other):
-    """What two materials do to each other."""
+    """Coefficients of the contact between two materials."""
     return model.laws[one * model.surfaces + other]
 
 
@@ -39,7 +39,8 @@ def normal_impulse(u, target, mass, accumulated):
 
 @ti.func
 def soft_impulse(u, target, mass, kept):
-    """The same for a soft contact, which has `kept` of what it accumulated; `target` holds the push-out speed as well."""
+    """New total normal impulse [N s] of a soft contact, which has `kept` of what it accumulated; `target` holds the push-out
+    speed as well. See `normal_impulse`."""
     return ti.max(0.0, kept + (target - u) * (SOFT_MASS * mass))
 
 
@@ -98,7 +99,8 @@ def tangential_impulse(model: ti.template(), slip, n, mass, accumulated, bound, 
 
 @ti.func
 def tangential_impulse_2d(model: ti.template(), slip, mass, accumulated, bound, viscous):
-    """The same in 2D, where the one direction along the surface makes speed and impulses scalars."""
+    """Change of the tangential impulse and its new Coulomb part in 2D, where the one direction along the surface makes speed
+    and impulses scalars. See `tangential_impulse`."""
     stop = -slip * mass
     wanted = accumulated + stop
     if ti.static(model.has_viscous):
@@ -124,7 +126,7 @@ def tangential_mass_part(solver: ti.template(), i, j):
 
 @ti.func
 def presses(total, mass, threshold, u):
-    """Whether a contact that presses with `total` [N s] has friction: more than rounding leaves where two bodies just part. u:
+    """True if a contact that presses with `total` [N s] has friction: more than rounding leaves where two bodies just part. u:
     relative velocity.
 
     Viscous friction does not fade with the normal impulse, so without this a rounded zero would switch it on or off.

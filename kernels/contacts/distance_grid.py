@@ -89,7 +89,7 @@ def spread(
 
 @ti.kernel
 def winding(corner: ti.types.ndarray(ndim=2), windings: ti.types.ndarray(ti.i32, 3), frame: ti.types.ndarray(ndim=1)):
-    """How often the surface winds around each grid corner: crossings of the line along x, counted with their sign.
+    """Count how often the surface winds around each grid corner: crossings of the line along x, counted with their sign.
 
     Lines are shifted by frame[4] of a cell, so that none runs along an edge of a mesh with round coordinates.
     """
@@ -123,7 +123,7 @@ def winding(corner: ti.types.ndarray(ndim=2), windings: ti.types.ndarray(ti.i32,
 
 @ti.func
 def corner_value(value: ti.template(), k, j, i, c: ti.template()):
-    """At corner c, 0 to 7, of the cell whose lowest one is i, j, k."""
+    """Value at corner c, 0 to 7, of the cell whose lowest one is i, j, k."""
     return value[k + ti.static(c >> 2 & 1), j + ti.static(c >> 1 & 1), i + ti.static(c & 1)]
 
 

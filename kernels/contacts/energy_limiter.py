@@ -65,7 +65,7 @@ def limit(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def sum_part(c, solver: ti.template(), ball: ti.template()):
-    """What part c of the balls adds to the energies that `limit` compares."""
+    """Sum over part c of the balls of the energies that `limit` compares."""
     lost, linear, square = (
         ti.cast(0.0, solver.energy_type),
         ti.cast(0.0, solver.energy_type),

@@ -76,7 +76,7 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
 
 @ti.func
 def is_caught(law, u, press, threshold, h):
-    """Whether a ball that arrives with the normal speed u < 0 rests: it is slow, does not bounce, or what presses it into the
+    """True if a ball that arrives with the normal speed u < 0 rests: it is slow, does not bounce, or what presses it into the
     surface [m/s^2] would bring it back at once, so that the bounces to come add up to a small part of the step."""
     return -u <= threshold or law.restitution == 0.0 or -2.0 * law.restitution * u < SHORTEST_FLIGHT * h * press
 

@@ -102,7 +102,7 @@ def settle_islands(solver: ti.template(), ball: ti.template()):
 
 @ti.func
 def is_going(solver: ti.template(), now):
-    """Whether iteration `now` has anything to do."""
+    """True if iteration `now` has anything to do."""
     going = False
     for b in range(solver.pairs.blocks[0]):
         if solver.block_is_active[now % 2 * solver.block_limit + b] > 0:
@@ -112,20 +112,22 @@ def is_going(solver: ti.template(), now):
 
 @ti.func
 def is_near(solver: ti.template(), b):
-    """Whether block b or one beside it was struck."""
+    """True if block b or one beside it was struck."""
     return pair_impacts.is_marked_near(solver, solver.block_was_struck, 0, b)
 
 
 @ti.func
 def end_of(solver: ti.template(), b):
-    """Behind the last place of block b in the order of iterations; its first where the block is passed over."""
+    """End of block b's range of places in the order of iterations; its beginning (an empty range) if the block is passed
+    over."""
     begin = b * solver.pairs.block_length[0]
     return ti.select(is_near(solver, b), ti.min(begin + solver.pairs.block_length[0], solver.n), begin)
 
 
 @ti.func
 def end_in(solver: ti.template(), b, now):
-    """The same in iteration `now`."""
+    """End of block b's range of places in iteration `now`; its beginning (an empty range) if neither it nor a block beside it
+    is active."""
     end = b * solver.pairs.block_length[0]
     if pair_impacts.is_marked_near(solver, solver.block_is_active, now % 2 * solver.block_limit, b):
         end = end_of(solver, b)
@@ -174,7 +176,7 @@ def iterate_islands(solver: ti.template(), ball: ti.template(), now):
 
 @ti.func
 def begin_island(solver: ti.template(), r, now):
-    """Iteration `now` has changed nothing yet in the island of root r, if this is the first that is asked."""
+    """Clear the sums of the island of root r, if iteration `now` has not asked for it before."""
     if solver.island_iteration[r] != now:
         solver.island_iteration[r] = now
         solver.slope[r], solver.curvature[r], solver.longest_extension[r] = 0.0, 0.0, FURTHEST_EXTENSION
@@ -182,7 +184,7 @@ def begin_island(solver: ti.template(), r, now):
 
 @ti.func
 def is_struck(solver: ti.template(), i):
-    """Whether ball i is pinned, or of an island in which something closed fast."""
+    """True if ball i is pinned, or in an island in which something closed fast."""
     return solver.island_was_struck[root_of(solver, i)] > 0 or solver.model.inverse_mass[i] == 0.0
 
 
@@ -198,7 +200,7 @@ def root_of(solver: ti.template(), i):
 
 @ti.func
 def reach_of(solver: ti.template(), b):
-    """The same of block b where a block that is not passed over lists any of its balls."""
+    """End of block b's range of balls; its beginning (an empty range) if no block that is iterated lists any of its balls."""
     begin = b * solver.pairs.block_length[0]
     listed = is_near(solver, b)
     if b > 0:
@@ -208,7 +210,7 @@ def reach_of(solver: ti.template(), b):
 
 @ti.func
 def find_islands(solver: ti.template()):
-    """Balls of the struck blocks that touch, directly or through loose others, get the same root."""
+    """Give the same root to balls of the struck blocks that touch, directly or through loose others."""
     for b in range(solver.pairs.blocks[0]):
         for k in range(b * solver.pairs.block_length[0], reach_of(solver, b)):
             i = solver.pairs.grid.order[k]
@@ -253,8 +255,8 @@ def extend(solver: ti.template(), ball: ti.template(), now):
 
 @ti.func
 def visit_taken(solver: ti.template(), ball: ti.template(), i, now, visit: ti.template()):
-    """visit(solver, ball, i, now), and for the balls that i lists, those that can move, if iteration `now` took its contacts;
-    a ball may be visited several times. Whether any of these is 1."""
+    """visit(solver, ball, i, now), and for the balls that i lists, those that can move, if iteration `now` took its contacts; a
+    ball may be visited several times. Returns 1 if any of these is 1."""
     found = 0
     if solver.last_iteration[i] == now:
         if solver.model.inverse_mass[i] > 0.0:
@@ -268,7 +270,7 @@ def visit_taken(solver: ti.template(), ball: ti.template(), i, now, visit: ti.te
 
 @ti.func
 def add_to_parabola(solver: ti.template(), ball: ti.template(), i, now):
-    """What the change of ball i does to the energy along the change of its island, once."""
+    """Add what the change of ball i does to the energy along the change of its island, once."""
     if solver.last_extension[i] != now:
         solver.last_extension[i] = now
         r, w = root_of(solver, i), solver.model.inverse_mass[i]
@@ -280,7 +282,7 @@ def add_to_parabola(solver: ti.template(), ball: ti.template(), i, now):
 
 @ti.func
 def change_again(solver: ti.template(), ball: ti.template(), i, now):
-    """Change ball i as often as its island goes on; once, for then nothing is left. Whether that is fast."""
+    """Change ball i as often as its island goes on; once, for then nothing is left. Returns 1 if that is fast."""
     change = times(solver, i) * solver.velocity_change[i]
     solver.velocity_change[i] = ti.Vector.zero(float, solver.model.dim)
     solver.state.kick(i, change)
@@ -305,8 +307,8 @@ def extend_contacts(solver: ti.template(), i):
 
 @ti.func
 def add_change(solver: ti.template(), i, j, c, r):
-    """What an iteration changed by the normal impulse of contact c of balls i and j, of the island of root r, and how far this
-    may go on."""
+    """Add to the sums of the island of root r what an iteration changed by the normal impulse of contact c of balls i and j,
+    and limit how far this may go on."""
     accumulated = solver.pairs.link[c].impulse
     change = last_change(solver.pairs.contact, c, accumulated)
     p = change * solver.pairs.contact[c].normal
@@ -319,7 +321,8 @@ def add_change(solver: ti.template(), i, j, c, r):
 
 @ti.func
 def add_change_by_walls(solver: ti.template(), i, r):
-    """The same by the walls of ball i."""
+    """Add to the sums of the island of root r what an iteration changed by the walls of ball i, and limit how far this may go
+    on."""
     p, longest, work = wall_impacts.changed(solver.walls, i)
     solver.velocity_change[i] = solver.velocity_change[i] + solver.model.inverse_mass[i] * p
     solver.longest_extension[r] = ti.min(solver.longest_extension[r], longest)
@@ -328,6 +331,6 @@ def add_change_by_walls(solver: ti.template(), i, r):
 
 @ti.func
 def times(solver: ti.template(), i):
-    """How many times what the last iteration changed the island of ball i goes on."""
+    """Number of times that the island of ball i repeats what the last iteration changed."""
     r = root_of(solver, i)
     return best_extension(solver.slope[r], solver.curvature[r], solver.longest_extension[r])

@@ -10,8 +10,8 @@ SPENT_CONTACT = 4.0  # times its last change: a contact that holds less is about
 
 @ti.func
 def last_change(iterated: ti.template(), c, impulse):
-    """What the last iteration changed of the normal impulse of a contact, now `impulse` [N s]. One that is about to let
-    go stays out, lest it stops the others."""
+    """Change of the normal impulse of a contact, now `impulse` [N s], by the last iteration. A contact that is about to let go
+    stays out, lest it stops the others."""
     change = impulse - iterated[c].previous_impulse
     if impulse < -SPENT_CONTACT * change:
         iterated[c].previous_impulse = impulse
@@ -21,5 +21,5 @@ def last_change(iterated: ti.template(), c, impulse):
 
 @ti.func
 def best_extension(slope, curvature, longest):
-    """How many times the change is made again, at most `longest`."""
+    """Number of times that the change is made again, at most `longest`."""
     return ti.max(0.0, ti.min(-slope / ti.max(curvature, SMALLEST_CURVATURE), longest))

@@ -1,4 +1,4 @@
-"""Which colliders a ball is at: found where it is now, each in a slot of the ball."""
+"""Search for the colliders that a ball is at, from its present place; each is kept in a slot of the ball."""
 
 from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts.kinds import BOX

@@ -92,7 +92,7 @@ def stretches(grid: ti.template(), level, corner, row):
 
 @ti.func
 def is_in_row(grid: ti.template(), level, way, corner, row, k):
-    """Whether sorted copy k, in a bucket of a row of a block, is of that block: others may share buckets by their hash."""
+    """True if sorted copy k, in a bucket of a row of a block, is of that block: others may share buckets by their hash."""
     inside = True
     if grid.dense[level] == 0:
         cell = square_cell(grid.copy[k].x, grid, level)
@@ -117,7 +117,7 @@ def each_of_block(grid: ti.template(), k, colour, visit: ti.template(), argument
 
 @ti.func
 def is_first_of_block(grid: ti.template(), k, level, way):
-    """Whether sorted copy k comes before all others of its block."""
+    """True if sorted copy k comes before all others of its block."""
     first_of_all = True
     corner = corner_of_block(square_cell(grid.copy[k].x, grid, level), way)
     for row in range(ti.static(1 << (grid.dim - 1))):
@@ -133,7 +133,7 @@ def is_first_of_block(grid: ti.template(), k, level, way):
 
 @ti.func
 def list_blocks(grid: ti.template(), k):
-    """List the blocks of which sorted copy k is the first, one a way. They stand in any order; what they do has none."""
+    """List the blocks of which sorted copy k is the first, one for each way. They stand in any order; what they do has none."""
     ways = ti.static(1 << grid.dim)
     level = level_of(grid.copy[k].radius, grid)
     for way in range(ways):
@@ -183,13 +183,13 @@ def one_ball(i, solver: ti.template(), ball: ti.template(), colour, visit: ti.te
 
 @ti.func
 def end_ball(i, ball: ti.template(), then: ti.template(), time, how: ti.template()):
-    """What follows for ball i."""
+    """Call then(ball, i, time, how) for ball i."""
     then(ball, i, time, how)
 
 
 @ti.func
 def turn(pairs: ti.template(), i, t, colour):
-    """Which link has turn t among those of ball i, and whether it is of a colour."""
+    """Link with turn t among those of ball i, and True if it is of the colour."""
     first = pairs.first[i]
     c, is_its_turn = pair_entry(pairs, first, t), True
     if ti.static(pairs.plan.by_colours):
@@ -215,7 +215,7 @@ def find_twins(pairs: ti.template(), i):
 
 @ti.func
 def mirror(pairs: ti.template(), c, how: ti.template()):
-    """Let the twin of link c hold what that does. A scalar along the normal turned by 90 degrees is the same seen from the other
+    """Copy what link c holds to its twin. A scalar along the normal turned by 90 degrees is the same seen from the other
     ball."""
     twin = pairs.link[c].twin
     if twin != NO_LINK:  # else not all links fit, and the step will be made again

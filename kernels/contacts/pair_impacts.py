@@ -45,7 +45,7 @@ def approach_from_forces(solver: ti.template(), i, j, n):
 
 @ti.func
 def is_lossless(solver: ti.template(), i, j):
-    """Whether all speed comes back: such a pair, once it has bounced, parts by itself; to be pushed as well would be a gain."""
+    """True if all speed comes back: such a pair, once it has bounced, parts by itself; to be pushed as well would be a gain."""
     lossless = False
     if ti.static(solver.model.has_restitution):
         lossless = law_of(solver.pairs, i, j).restitution >= 1.0
@@ -54,15 +54,15 @@ def is_lossless(solver: ti.template(), i, j):
 
 @ti.func
 def rests(solver: ti.template(), i, j, speed, depth):
-    """Whether a pair that parts with `speed` [m/s] stays as it is, and overlaps by more than an impact explains: where a shock
-    has gone through a pack, all move alike, and are as deep in each other as the way of a step."""
+    """True if the pair hardly separates (`speed` [m/s]) and overlaps by more [m] than its balls move in one step. A packing
+    that a shock has gone through looks like this; such pairs do not bounce."""
     way = (solver.velocity_before[i].norm() + solver.velocity_before[j].norm()) / solver.rate[0]
     return ti.abs(speed) <= RESTING_SPEED * solver.threshold[0] and depth > way
 
 
 @ti.func
 def note_velocity_from_forces(solver: ti.template(), ball: ti.template()):
-    """What forces changed since contacts were last looked for."""
+    """Note the velocity [m/s] that forces gave every ball since contacts were last looked for."""
     if ti.static(solver.plan.loaded):
         for i in range(solver.n):
             solver.velocity_from_forces[i] = ball[i].v - solver.velocity_when_found[i]
@@ -97,7 +97,7 @@ def repeat_until_calm(solver: ti.template(), ball: ti.template(), visit: ti.temp
 
 @ti.func
 def is_marked_near(solver: ti.template(), flags: ti.template(), first, b):
-    """Whether block b or one beside it is marked in `flags`, which hold the first block at `first`."""
+    """True if block b or one beside it is marked in `flags`, which hold the first block at `first`."""
     near = flags[first + b] > 0
     if b > 0:
         near = near or flags[first + b - 1] > 0
@@ -126,7 +126,7 @@ def impacts_of_block(b, solver: ti.template(), ball: ti.template(), now, time):
 
 @ti.func
 def disturb(solver: ti.template(), i, now):
-    """From round `now` on, look at all contacts of ball i again: its velocity has changed."""
+    """Mark all contacts of ball i to be looked at again from round `now` on: its velocity has changed."""
     if solver.model.inverse_mass[i] > 0.0:
         solver.disturbed[i] = now
         c = solver.pairs.first_from_others[i]
@@ -137,7 +137,8 @@ def disturb(solver: ti.template(), i, now):
 
 @ti.func
 def bounces_on(solver: ti.template(), i, j, restitution):
-    """Whether so few impacts of ball i or j in this step are past that restitution leaves speed for another."""
+    """True while restitution^k > SPENT_SPEED, with k the impacts of ball i or j so far in this step, whichever had more. After
+    that restitution leaves no speed for another. With a line search it is always True."""
     on = True
     if ti.static(not solver.plan.line_search):
         number = ti.max(solver.impacts[i], solver.impacts[j])
@@ -197,7 +198,7 @@ def limit_block(solver: ti.template(), ball: ti.template(), b, begin, end, time,
 
 @ti.func
 def limit(solver: ti.template(), i):
-    """Of what the contacts of ball i accumulated in an impact, what may be a load: the next solve starts with it."""
+    """Limit what the contacts of ball i accumulated in an impact to what may be a load: the next solve starts with it."""
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
         j = solver.pairs.link[c].other
@@ -209,7 +210,7 @@ def limit(solver: ti.template(), i):
 
 @ti.func
 def load_of(solver: ti.template(), i, j, c, accumulated):
-    """Of what contact c of balls i and j accumulated, what may be a load [N s]."""
+    """Part that may be a load [N s] of what contact c of balls i and j accumulated."""
     return ti.min(accumulated, wall_impacts.largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j))
 
 

@@ -1,8 +1,8 @@
-"""Where the entries of a ball's list of pairs lie.
+"""Places of the entries of a ball's list of pairs.
 
-On a CPU a list lies in one piece, for the cache line that a thread has fetched to hold its next entries. On a device neighbouring
-threads have neighbouring balls, and what they read at the same time has to be side by side: the first entries of all balls,
-then the second ones, and so on. What a ball's own entries cannot take lies in a pool, in one piece on either.
+On a CPU a list lies in one piece, for the cache line that a thread has fetched to hold its next entries. On a device
+neighbouring threads have neighbouring balls, and what they read at the same time has to be side by side: the first entries of
+all balls, then the second ones, and so on. What a ball's own entries cannot take lies in a pool, in one piece on either.
 """
 
 from taichi_sim.device.engine import ti

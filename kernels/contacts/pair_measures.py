@@ -1,5 +1,5 @@
-"""What a search leaves to be found of pairs at the present places: which touch, their normals and depths, what they start
-with."""
+"""Measures of pairs at the present places, after a search: which pairs touch, their normals and depths, and the impulses they
+start with."""
 
 from taichi_sim.kernels.contacts import pair_colours, pair_impacts
 from taichi_sim.kernels.contacts.pair_lists import pair_entry

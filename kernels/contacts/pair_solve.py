@@ -271,7 +271,7 @@ def correct_positions(solver: ti.template(), ball: ti.template(), i, colour, h, 
 
 @ti.func
 def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
-    """The same for the pair of balls i and j in link c."""
+    """Displacement [m] that separates the pair of balls i and j in link c where their own motion does not."""
     contact = solver.pairs.contact[c]
     depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
     depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))

@@ -83,12 +83,12 @@ def add(solver: ti.template(), table: ti.template(), i, change):
 
 @ti.func
 def add_to_other(solver: ti.template(), table: ti.template(), j, change):
-    """The same for the ball that does not list the pair. One that does sums it itself."""
+    """table[j] += change for the ball that does not list the pair. Where impulses are gathered, that ball sums them itself."""
     if ti.static(not solver.plan.gathers):
         add(solver, table, j, change)
 
 
 @ti.func
 def torque(solver: ti.template(), c, p):
-    """What impulse p on the first ball of pair c does to the spin of either, in units of its radius."""
+    """Angular impulse on either ball of pair c, in units of its radius, by impulse p on the first."""
     return solver.pairs.contact[c].arm * cross(solver.pairs.contact[c].normal, p)

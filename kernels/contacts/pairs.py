@@ -23,7 +23,7 @@ BITS_OF_ONE = 0x3F800000  # the bits of 1.0
 
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
-    """Whether two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
+    """True if two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
     allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0 and may_meet(pairs, i, j)
     if ti.static(pairs.has_springs):
         for e in range(pairs.spring_start[i], pairs.spring_start[i + 1]):
@@ -33,7 +33,7 @@ def may_touch(pairs: ti.template(), i, j):
 
 @ti.func
 def may_meet(pairs: ti.template(), i, j):
-    """Whether two balls are neither of one body, nor of groups that do not collide."""
+    """True if two balls are neither of one body, nor of groups that do not collide."""
     allowed = True
     if ti.static(pairs.has_bodies):
         allowed = pairs.body[i] == 0 or pairs.body[i] != pairs.body[j]
@@ -159,7 +159,7 @@ def forget_impulse(pairs: ti.template(), e):
 
 @ti.func
 def store(pairs: ti.template()):
-    """Before new lists are made: keep links of what touches in `contact`, whose own content only lasts until then."""
+    """Keep links of what touches in `contact`, before new lists are made. Its own content only lasts until then."""
     for i in range(pairs.grid.work[0].balls):
         store_links(pairs, i)
 
@@ -233,11 +233,12 @@ def recall(pairs: ti.template(), i, j, at):
 
 @ti.func
 def search(pairs: ti.template()):
-    """For each ball the list of the later balls within reach, in an order that the grid fixes; nothing where the last holds.
+    """List for each ball the later balls within reach, in an order that the grid fixes; nothing is done while the last lists
+    hold.
 
     The lists of a block of balls lie one behind the other in the entries of that block; what they cannot take goes to a pool at
-    the end, where its place depends on the threads, but not what it lists. What does not fit there is counted and not kept;
-    the host then makes a larger list and repeats the steps.
+    the end, where its place depends on the threads, but not what it lists. What does not fit there is counted and not kept; the
+    host then makes a larger list and repeats the steps.
     """
     ti.loop_config(serialize=True)
     for _ in range(1):

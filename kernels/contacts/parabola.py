@@ -1,4 +1,4 @@
-"""When a parabola comes down to zero."""
+"""Time at which a parabola comes down to zero."""
 
 from taichi_sim.device.engine import ti
 

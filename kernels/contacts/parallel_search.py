@@ -20,7 +20,7 @@ SUMMED_BUCKETS = 64  # whose sums one thread makes, and sums of these
 
 @ti.func
 def is_due(grid: ti.template()):
-    """Whether the lists of the last search hold no more."""
+    """True if the lists of the last search hold no more."""
     due = True
     if ti.static(grid.skin > 0.0):
         due = grid.stale[0] == 1
@@ -93,7 +93,7 @@ def build(ball: ti.template(), grid: ti.template()):
 
 @ti.func
 def widen_box(ball: ti.template(), grid: ti.template(), i):
-    """Let the box of the level of ball i hold it; looking before writing, as nearly all balls lie inside it already."""
+    """Enlarge the box of the level of ball i to hold it; looking before writing, as nearly all balls lie inside it already."""
     level = level_of(grid.model.radius[i], grid)
     cell = cell_of(ball[i].x, grid, level)
     for a in ti.static(range(grid.dim)):
@@ -105,7 +105,7 @@ def widen_box(ball: ti.template(), grid: ti.template(), i):
 
 @ti.func
 def place_buckets(grid: ti.template(), c):
-    """Where the sorted copies of some buckets begin, and how many pairs lie in crowded ones; sums are zero again."""
+    """Find where the sorted copies of some buckets begin, and count the pairs in crowded ones; sums are zero again."""
     running = grid.partial[c]
     grid.partial[c] = 0
     if c < grid.second_parts:
@@ -122,7 +122,7 @@ def place_buckets(grid: ti.template(), c):
 
 @ti.func
 def search(pairs: ti.template()):
-    """For each ball the list of all others within reach, in an order that the grid fixes: see pairs.search, which lists each pair
+    """List for each ball all others within reach, in an order that the grid fixes: see pairs.search, which lists each pair
     once. Each ball has entries of its own; what they cannot take goes to the pool."""
     for i in range(pairs.grid.n):
         if is_due(pairs.grid):

@@ -92,7 +92,7 @@ def bucket_of(cell, grid: ti.template(), level):
 
 @ti.func
 def same_row(a, b):
-    """Whether two cells lie in one row along x."""
+    """True if two cells lie in one row along x."""
     same = True
     for k in ti.static(range(1, a.n)):
         same = same and a[k] == b[k]
@@ -251,8 +251,8 @@ def build(ball: ti.template(), grid: ti.template()):
 
 @ti.func
 def order_by_slabs(ball: ti.template(), grid: ti.template()):
-    """Where rows are spread by a hash: the order of sweeps is by slabs across the longest side of the world, lest blocks of
-    balls that can meet each other reach from one end of the order to the other."""
+    """Order sweeps by slabs across the longest side of the world where rows are spread by a hash, lest blocks of balls that can
+    meet each other reach from one end of the order to the other."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         hashed = grid.work[0].balls > 0 and grid.dense[0] == 0

@@ -11,13 +11,13 @@ SIZE, SUMS = 9, 4
 
 @ti.func
 def nothing():
-    """Those of no contact."""
+    """Statistics of no contact."""
     return ti.Vector([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 @ti.func
 def one(depth, radius, u, presses, ball):
-    """Those of one contact: overlap [m], radius of the smaller ball [m], normal speed [m/s], negative on approach; whether
+    """Statistics of one contact: overlap [m], radius of the smaller ball [m], normal speed [m/s], negative on approach; whether
     it presses since the last solve, so that it should approach no more; a ball of it."""
     left = ti.max(0.0, -u)
     unsolved = ti.select(presses, left, 0.0)
@@ -28,7 +28,7 @@ def one(depth, radius, u, presses, ball):
 
 @ti.func
 def join(a, b):
-    """Those of two sets of contacts."""
+    """Statistics of two sets of contacts together."""
     total = a
     for k in ti.static(range(BALL)):
         total[k] = a[k] + b[k] if ti.static(k < SUMS) else ti.max(a[k], b[k])

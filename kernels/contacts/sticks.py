@@ -35,14 +35,14 @@ def closest(x, a, b):
 
 @ti.func
 def may_touch(sticks: ti.template(), i, one, two):
-    """Whether ball i and the stick from `one` to `two` collide at all."""
+    """True if ball i and the stick from `one` to `two` collide at all."""
     w = sticks.model.inverse_mass[i] + sticks.model.inverse_mass[one] + sticks.model.inverse_mass[two]
     return i != one and i != two and w > 0.0 and may_meet(sticks.pairs, i, one)
 
 
 @ti.func
 def touches(sticks: ti.template(), ball: ti.template(), i, x, radius, one, two):
-    """Whether ball i touches the inside of a stick. A hit at an end is the ball-ball contact with the ball there."""
+    """True if ball i touches the inside of a stick. A hit at an end is the ball-ball contact with the ball there."""
     hit = False
     if i != one and i != two:
         t, r = closest(x, ball[one].x, ball[two].x)
@@ -181,7 +181,7 @@ def list_contacts(s, sticks: ti.template(), ball: ti.template()):
 
 @ti.func
 def measure(sticks: ti.template(), ball: ti.template(), c):
-    """Where on the stick contact c is, the normal from stick to ball, and the distance."""
+    """Measure contact c: its place on the stick (0 to 1), the normal from stick to ball, and the distance [m]."""
     contact = sticks.contact[c]
     one, two = sticks.one[contact.stick], sticks.two[contact.stick]
     t, r = closest(ball[contact.ball].x, ball[one].x, ball[two].x)

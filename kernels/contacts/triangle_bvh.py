@@ -1,4 +1,4 @@
-"""Which pairs of surfaces are looked at: leaves of a tree whose boxes come near each other.
+"""Search for the pairs of surfaces to look at: leaves of a tree whose boxes come near each other.
 
 The leaf of a ball is what it owns: the triangles whose first ball it is, and the edges. The shape of the tree is fixed, as what
 is one surface stays together: node k has the children 2 k and 2 k + 1, and each node at the bottom the same number of leaves,
@@ -32,13 +32,13 @@ BEYOND_ALL = 1e30  # m, beyond all that there is
 
 @ti.func
 def has_leaf(triangles: ti.template(), i):
-    """Whether ball i owns anything: triangles, whose edges it then owns too, or sticks."""
+    """True if ball i owns anything: triangles, whose edges it then owns too, or sticks."""
     return triangles.edge_start[i + 1] > triangles.edge_start[i]
 
 
 @ti.func
 def any_left_path(triangles: ti.template(), p):
-    """Whether ball p, or any ball of its leaf, is not where it was expected."""
+    """True if ball p, or any ball of its leaf, is not where it was expected."""
     yes = triangles.left_path[p] == 1
     for e in range(triangles.edge_start[p], triangles.edge_start[p + 1]):
         yes = yes or triangles.left_path[triangles.edge[e].two] == 1

@@ -51,7 +51,8 @@ def ball_triangle(
 def ball_near_triangle(
     triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, i, t, near, place, job: ti.template()
 ):
-    """The same, and listing, where boxes are near."""
+    """1 where ball i and triangle t, whose boxes are near, become a candidate, else 0; or list them as a pair, or let them
+    limit their ways."""
     found = 0
     triangle = triangles.triangle[t]
     a, b, c = triangle.a, triangle.b, triangle.c
@@ -110,7 +111,8 @@ def edge_edge(triangles: ti.template(), solver: ti.template(), ball: ti.template
 def near_edges(
     triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, e, f, near, place, job: ti.template()
 ):
-    """The same, and listing, where boxes are near."""
+    """1 where edges e and f, whose boxes are near, become a candidate, else 0; or list them as a pair, or let them limit their
+    ways."""
     found = 0
     a, b, c, d = triangles.edge[e].one, triangles.edge[e].two, triangles.edge[f].one, triangles.edge[f].two
     xa, xb, xc, xd = origins(triangles, a, b, c, d)
@@ -132,7 +134,7 @@ def near_edges(
 
 @ti.func
 def is_whole(triangles: ti.template(), t):
-    """Whether no side of triangle t has torn: it is no more where one has."""
+    """True if no side of triangle t has torn. A triangle with a torn side no longer exists."""
     whole = True
     if ti.static(triangles.tears):
         whole = triangles.severed_triangles.gone[t] == 0
@@ -141,7 +143,7 @@ def is_whole(triangles: ti.template(), t):
 
 @ti.func
 def holds(triangles: ti.template(), e):
-    """Whether edge e has not torn."""
+    """True if edge e has not torn."""
     yes = True
     if ti.static(triangles.tears):
         yes = triangles.severed_edges.gone[e] == 0
@@ -150,14 +152,14 @@ def holds(triangles: ti.template(), e):
 
 @ti.func
 def origins(triangles: ti.template(), one, two, three, four):
-    """Where four balls are, or were at the start of the step."""
+    """Positions of four balls [m], now or at the start of the step."""
     origin = ti.static(triangles.grid.origin)
     return origin[one], origin[two], origin[three], origin[four]
 
 
 @ti.func
 def may_meet(triangles: ti.template(), b, kind):
-    """Whether the pair of balls b can move at all, and its groups collide."""
+    """True if the pair of balls b can move at all, and its groups collide."""
     may = False
     for k in ti.static(range(4)):
         may = may or triangles.model.inverse_mass[b[k]] > 0.0
@@ -219,7 +221,7 @@ def stretch(triangles: ti.template(), ball: ti.template(), i, job: ti.template()
 
 @ti.func
 def near_boxes(low, high, other_low, other_high, reach):
-    """Whether two boxes come nearer than `reach` along every axis. One comparison: three would often be guessed wrong."""
+    """True if two boxes come nearer than `reach` [m] along every axis. One comparison: three would often be guessed wrong."""
     return ti.max(low - other_high, other_low - high).max() < reach
 
 
@@ -280,13 +282,13 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
 
 @ti.func
 def is_upper(k, kind):
-    """Whether ball k of a pair is on its upper side."""
+    """True if ball k of a pair is on its upper side."""
     return k == 0 or (k == 1 and kind != BALL_TRIANGLE)
 
 
 @ti.func
 def joined(triangles: ti.template(), b, kind):
-    """Whether a spring joins the two sides of a pair: at rest they may be nearer to each other than they are thick."""
+    """True if a spring joins the two sides of a pair: at rest they may be nearer to each other than they are thick."""
     yes = False
     if ti.static(triangles.pairs.has_springs):
         for k in range(ti.select(kind == BALL_TRIANGLE, 1, 2)):

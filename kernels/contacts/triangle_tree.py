@@ -41,7 +41,7 @@ def from_triangle(triangle: ti.template(), t, p):
 
 @ti.func
 def is_within(box: ti.template(), k, p, square):
-    """Whether node k comes nearer to p than the root of `square`."""
+    """True if node k comes nearer to p than the root of `square` [m^2]."""
     gap = ti.max(entry(box, 6 * k) - p, p - entry(box, 6 * k + 3), 0.0)
     return gap.dot(gap) < square
 
@@ -80,7 +80,8 @@ def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.templa
 def distance_by_leaves(
     box: ti.template(), link: ti.template(), triangle: ti.template(), leaf: ti.template(), first, last, near, p
 ):
-    """The same where only the leaves listed from `first` to before `last` can hold the closest triangle."""
+    """Signed distance [m] of p from the mesh, and the direction out of it, where only the leaves listed from `first` to before
+    `last` can hold the closest triangle."""
     r, feature = from_triangle(triangle, near, p)
     closest = near
     for e in range(first, last):

@@ -64,7 +64,7 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
 
 @ti.func
 def limit(walls: ti.template(), solver: ti.template(), i):
-    """Of what the walls of ball i accumulated in an impact, what may be a load."""
+    """Limit what the walls of ball i accumulated in an impact to what may be a load."""
     if walls.crowded[i] != BALL_ALONE:
         for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
             c = i * walls.count + k

@@ -1,5 +1,5 @@
-"""What contacts accumulate and keep from step to step: scaled to another step, bounded, and for contacts of several balls found
-again.
+"""Impulses that contacts accumulate and keep from step to step: scaled to another step, bounded, and for contacts of several
+balls found again.
 
 Before the contacts of sticks are listed anew, what they accumulated goes to `old`, `begin` and `length` of which say where each
 stick has its own.
@@ -14,7 +14,7 @@ LOAD_GROWTH = 2.0  # times what a contact accumulated before: more than that, af
 
 @ti.func
 def scale(table: ti.template(), count, ratio, friction: ti.template()):
-    """The first `count` contacts of a table have accumulated as much less or more."""
+    """Scale what the first `count` contacts of a table have accumulated by `ratio`."""
     for e in range(count):
         table[e].impulse = ratio * table[e].impulse
         if ti.static(friction):
@@ -23,8 +23,8 @@ def scale(table: ti.template(), count, ratio, friction: ti.template()):
 
 @ti.func
 def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
-    """Of what contact c of a table accumulated, what may be a load: the next solve starts with it, and would throw back what was
-    an impact's."""
+    """Limit what contact c of a table accumulated to `most` [N s], which may be a load: the next solve starts with it, and
+    would throw back what was an impact's."""
     accumulated = table[c].impulse
     if accumulated > most:
         table[c].impulse = most
@@ -40,7 +40,7 @@ def store(sticks: ti.template()):
 
 @ti.func
 def store_contact(c, sticks: ti.template()):
-    """The same for contact c."""
+    """Keep what contact c accumulated, and its ball, while contacts are listed anew."""
     sticks.old[c].other = sticks.contact[c].ball
     sticks.old[c].impulse = sticks.contact[c].impulse
     if ti.static(sticks.model.has_friction):
@@ -49,7 +49,7 @@ def store_contact(c, sticks: ti.template()):
 
 @ti.func
 def forget(sticks: ti.template(), c, n):
-    """Contact c, with the normal n, has accumulated nothing."""
+    """Clear what contact c, with the normal n, has accumulated."""
     sticks.contact[c].impulse = 0.0
     if ti.static(sticks.model.has_friction):
         sticks.contact[c].tangential_impulse = 0.0 * n
@@ -57,7 +57,7 @@ def forget(sticks: ti.template(), c, n):
 
 @ti.func
 def recall(sticks: ti.template(), s, c, n):
-    """Contact c of stick s, with the normal n, has accumulated what it had under the last list."""
+    """Restore to contact c of stick s, with the normal n, what it had accumulated under the last list."""
     forget(sticks, c, n)
     for e in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
         if sticks.old[e].other == sticks.contact[c].ball:
@@ -83,7 +83,7 @@ def start(sticks: ti.template(), solver: ti.template(), c, u, n):
 
 @ti.func
 def limit(sticks: ti.template(), c, inverse_mass, u):
-    """After a solve, contact c keeps no more than twice what it started with, and what forces gave since it was last seen.
+    """Limit what contact c keeps after a solve to twice what it started with, and what forces gave since it was last seen.
     inverse_mass: sum w g^2 [1/kg]; u: its speed."""
     most = LOAD_GROWTH * sticks.contact[c].starting_impulse + sticks.contact[c].gained_speed / inverse_mass
     keep_at_most(sticks.contact, c, most, sticks.model.has_friction)

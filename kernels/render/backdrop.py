@@ -1,4 +1,4 @@
-"""What lies behind everything: sky and ground, which stay the same while the camera does.
+"""Sky and ground behind everything, which stay the same while the camera does.
 
 Planes of a view are rows (a, b, c): closeness a x + b y + c at a place (x, y) px of the picture, where positive.
 """
@@ -71,7 +71,7 @@ def plane_normal(planes, k):
 
 @ti.func
 def plane_place(planes, eye, ray, k):
-    """How far along a ray, at most 1e4, a plane is seen."""
+    """Distance along a ray, at most 1e4, at which plane k is seen."""
     n = plane_normal(planes, k)
     return ti.min((planes[k, 3] - n.dot(eye)) / ti.min(n.dot(ray), ti.f32(-1e-6)), ti.f32(1e4))
 
@@ -144,8 +144,8 @@ def paint(
 
 @ti.kernel
 def place(scene: ti.template(), view: View, light: View, planes: View, eye: vec3, look: View, width: ti.i32, n: ti.i32):
-    """Where the ground that n pixels see lies in the light's view: the coarse cell of the shadow map, -1 for none, and the
-    closeness of what casts a shadow there."""
+    """Find the ground that n pixels see in the light's view: the coarse cell of the shadow map, -1 for none, and the closeness
+    of what casts a shadow there."""
     for pixel in range(n):
         cell, closest = -1, ti.f32(0.0)
         k = ti.abs(scene.plane[pixel]) - 1

@@ -31,7 +31,7 @@ def row(look, k):
 
 @ti.func
 def segment_distance(p, a, b, blunt):
-    """From p to the segment a b; blunt: nothing lies beyond the ends, so that joined segments do not overlap."""
+    """Distance from p to the segment a b; blunt: nothing lies beyond the ends, so that joined segments do not overlap."""
     d = b - a
     t = (p - a).dot(d) / ti.max(d.dot(d), ti.f32(1e-12))
     result = (p - a - d * unit(t)).norm()
@@ -74,7 +74,7 @@ def triangle_coverage(p, s):
 
 @ti.func
 def body_distance(s, q):
-    """px from q, in the axes of a collider, to its surface; negative inside."""
+    """Distance [px] from q, in the axes of a collider, to its surface; negative inside."""
     inner = vec2(ti.max(ti.abs(q[0]) - s[4], ti.f32(0.0)), ti.max(ti.abs(q[1]) - s[5], ti.f32(0.0)))
     d = inner.norm() + ti.min(ti.max(ti.abs(q[0]) - s[4], ti.abs(q[1]) - s[5]), ti.f32(0.0)) * ti.f32(s[6] == 0)
     d -= s[6]

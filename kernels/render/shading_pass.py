@@ -1,4 +1,4 @@
-"""From what is seen to pixels: each distinct primitive of a pixel shaded once, before sky and ground."""
+"""Shading of the pixels from what is seen: each distinct primitive of a pixel shaded once, before sky and ground."""
 
 from taichi_sim.kernels.render.backdrop import nearest_plane, plane_colour
 from taichi_sim.kernels.render.finish import alpha_byte, encode
@@ -16,7 +16,7 @@ OPEN = 0.998  # share of the sky from which all of it is seen
 
 @ti.func
 def alike(scene: ti.template(), ia, wa, ib, wb):
-    """Whether two samples may share one shading: the same primitive, or triangles of one smooth part of a surface."""
+    """True if two samples may share one shading: the same primitive, or triangles of one smooth part of a surface."""
     result = ia == ib
     if ti.static(scene.has_triangles):
         if ia != ib and (ia >> 28) == TRIANGLE and (ib >> 28) == TRIANGLE:
@@ -57,8 +57,8 @@ def weigh(scene: ti.template(), seen: ti.template(), on_screen, count, which, pi
 
 @ti.func
 def outline(scene: ti.template(), seen: ti.template(), on_screen, count, which, x, y, width, height):
-    """How much of a line a pixel lies on, with an edge among its samples and one of the next pixels to the right and below. What
-    lies behind is one thing, a smooth part of a surface another one."""
+    """Part of a line that a pixel lies on, with an edge among its samples and one of the next pixels to the right and below.
+    What lies behind is one thing, a smooth part of a surface another one."""
     samples = ti.static(scene.samples)
     first, depth, same = 0, ti.f32(0.0), 0
     for s in ti.static(range(samples + 2)):

@@ -23,7 +23,7 @@ def shadow_tap(shadow: ti.template(), size, x, y):
 
 @ti.func
 def shadow_smooth(shadow: ti.template(), size, x, y, w):
-    """How much of the four texels about (x, y) is nearer to the light than w, weighted bilinearly; nothing outside."""
+    """Part of the four texels about (x, y) that is nearer to the light than w, weighted bilinearly; nothing outside."""
     fx, fy = ti.floor(x - ti.f32(0.5)), ti.floor(y - ti.f32(0.5))
     i, j = ti.cast(fx, ti.i32), ti.cast(fy, ti.i32)
     total = ti.f32(0.0)
@@ -81,7 +81,7 @@ def blurred(shadow: ti.template(), size, q, level, radius):
 
 @ti.func
 def light_place(light, p, n, slope):
-    """Where a point is looked up in the shadow map (x, y) texels, and the closeness that casts a shadow on it."""
+    """Place (x, y) texels at which a point is looked up in the shadow map, and the closeness that casts a shadow on it."""
     texel = 1 / light[3, 0]
     q = screen(light, to_view(light, p + n * (texel * (1 + ti.min(slope, ti.f32(2.0))))))
     return q, q[2] + texel * (ti.f32(0.6) + ti.f32(0.6) * ti.min(slope, ti.f32(3.0)))
@@ -121,8 +121,8 @@ def coarse_cell(cells, x, y):
 
 @ti.kernel
 def coarsen(shadow: ti.template(), cell: ti.template(), coarse: ti.template(), thin: ti.template(), size: ti.i32):
-    """For every cell of the shadow map the largest closeness in it and its eight neighbours, above which all is lit, and whether
-    there is anything thin."""
+    """Find for every cell of the shadow map the largest closeness in it and its eight neighbours, above which all is lit, and
+    whether there is anything thin."""
     for c in cell:
         across = size // COARSE_TEXELS
         nearest = ti.f32(0.0)

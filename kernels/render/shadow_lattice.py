@@ -36,7 +36,8 @@ def map_share(scene: ti.template(), view, light, q, level, slope, cell, eye, p, 
 
 @ti.func
 def ground_share(scene: ti.template(), view, light, look, planes, eye, ray, k, pixel):
-    """The same on a plane."""
+    """Share of the lamp at the point of plane k that a pixel sees, and True if that of pixels near by may be quite another
+    one."""
     share, abrupt = ti.f32(1.0), False
     cell = scene.backdrop_cell[pixel]
     if cell >= 0:
@@ -50,7 +51,7 @@ def ground_share(scene: ti.template(), view, light, look, planes, eye, ray, k, p
 
 @ti.func
 def surface_share(scene: ti.template(), view, light, eye, p, n, cosine):
-    """The same on a surface that faces the lamp."""
+    """Share of the lamp at p on a surface that faces the lamp, and True if that of pixels near by may be quite another one."""
     slope = slope_of(cosine)
     q, level = light_place(light, p, n, slope)
     share, abrupt = ti.f32(1.0), False

@@ -1,9 +1,10 @@
-"""What lies nearest at every sample, kept by an atomic maximum, so that the order of threads plays no part.
+"""Search for what lies nearest at every sample, kept by an atomic maximum, so that the order of threads plays no part.
 
 Closeness w is linear on the screen: 1/z in perspective, far - z in a parallel (light) view; its bits sort like it. Where the
-device has 64-bit integers, a key is (closeness << 32) | identity. Elsewhere all is drawn twice: first the closeness alone, then,
-of the primitives exactly as close as that, the largest identity; so the pictures are the same. The second stage computes each w
-by the same instructions as the first, hence to the same bits. Shadow maps need the closeness alone, 32 bits and one stage.
+device has 64-bit integers, a key is (closeness << 32) | identity. Elsewhere all is drawn twice: first the closeness alone,
+then, of the primitives exactly as close as that, the largest identity; so the pictures are the same. The second stage computes
+each w by the same instructions as the first, hence to the same bits. Shadow maps need the closeness alone, 32 bits and one
+stage.
 
 What is drawn leaves a mark on the tiles that it may touch: all others hold nothing, and are neither read nor cleared.
 """
@@ -20,7 +21,8 @@ def bits_of(w):
 
 @ti.func
 def key_of(seen: ti.template(), w, identity):
-    """What a primitive so close enters the maximum with: its key, or the bits of its closeness."""
+    """Key of a primitive for the maximum (larger is nearer): closeness in the high bits, identity in the low ones; only the
+    bits of its closeness where keys are not wide."""
     if ti.static(seen.wide):
         return (ti.cast(bits_of(w), ti.i64) << 32) | ti.cast(identity, ti.i64)
     else:
@@ -29,7 +31,7 @@ def key_of(seen: ti.template(), w, identity):
 
 @ti.func
 def may_win(seen: ti.template(), slot, key):
-    """Whether a primitive with at most this key could be what is seen."""
+    """True if a primitive with at most this key could be what is seen."""
     if ti.static(seen.wide):
         return key > seen.key[slot]
     elif ti.static(seen.depth_only):
@@ -72,7 +74,7 @@ def mark(seen: ti.template(), x0, x1, y0, y1, width):
 
 @ti.func
 def mark_thin(seen: ti.template(), x0, x1, y0, y1, width):
-    """In a shadow map: what is drawn at these pixels is too thin to be sure to be met by taps about other places."""
+    """Mark, in a shadow map, that what is drawn at these pixels is too thin to be sure to be met by taps about other places."""
     if ti.static(seen.depth_only):
         if x0 < x1 and y0 < y1:
             across = tiles_across(width)
@@ -83,7 +85,7 @@ def mark_thin(seen: ti.template(), x0, x1, y0, y1, width):
 
 @ti.kernel
 def clear(seen: ti.template(), samples: ti.template(), width: ti.i32, height: ti.i32, tiles: ti.i32):
-    """Nothing is seen, in the tiles of a picture that bear a mark."""
+    """Clear the tiles of a picture that bear a mark: nothing is seen there."""
     for k in range(tiles * TILE):  # rows of tiles
         tile = k // TILE
         if seen.marked[tile] > 0:
@@ -106,7 +108,7 @@ def clear(seen: ti.template(), samples: ti.template(), width: ti.i32, height: ti
 
 @ti.func
 def found(seen: ti.template(), slot):
-    """What is seen at a sample, for `closeness` and `identity`."""
+    """Value of the nearest primitive at a sample, for `closeness` and `identity`."""
     if ti.static(seen.wide):
         return seen.key[slot]
     elif ti.static(seen.depth_only):

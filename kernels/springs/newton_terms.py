@@ -39,7 +39,7 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
 
 @ti.func
 def potential(r, u, spring, s, damped: ti.template()):
-    """What a spring adds to the potential of a stage, its ends r [m] apart with the relative velocity u [m/s]."""
+    """Part of a spring in the potential of a stage, its ends r [m] apart with the relative velocity u [m/s]."""
     d = r.norm()
     phi = energy(spring.stiffness, d - spring.rest_length)
     if ti.static(damped):

@@ -83,7 +83,7 @@ def sum_block(b, ball: ti.template(), springs: ti.template(), h, tau, what: ti.t
 @ti.func
 def blocks(ball: ti.template(), springs: ti.template(), impulse: ti.template(), damping_impulse: ti.template(), h, tau,
            what: ti.template()):  # fmt: skip
-    """What law.blocks does."""
+    """Sum impulses in blocks as law.blocks does, with padded vectors."""
     dim = ti.static(springs.dim)
     for i in range(springs.n):
         springs.phase[i].x = pad(ball[i].x, dim)

@@ -12,9 +12,9 @@ BATCH_WIDTH = 8
 
 @ti.func
 def there_and_back(sweep: ti.template(), springs: ti.template(), h):
-    """For all springs e from ball i to ball j sweep.take(i, j, sweep.give(i, j, e, h)), in order and then in the reverse order,
-    each seeing what those before it changed. give returns the impulse [N s] on ball i and the square of the distance of both
-    ends [m^2]; sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
+    """Call sweep.take(i, j, sweep.give(i, j, e, h)) for all springs e from ball i to ball j, in order and then in the reverse
+    order, each seeing what those before it changed. give returns the impulse [N s] on ball i and the square of the distance of
+    both ends [m^2]; sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
     ti.loop_config(serialize=True)
     for step in range(2 * springs.batches):
         e = ti.min(step, 2 * springs.batches - 1 - step) * BATCH_WIDTH

@@ -73,7 +73,7 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def relax(self, ball: ti.template(), time):
-        """After a move that ends a step: take back what pushing out overlap added to velocities."""
+        """Take back, after a move that ends a step, what pushing out overlap added to velocities."""
 
     @ti.func
     def begin(self, ball: ti.template(), impacts: ti.template()):
@@ -98,9 +98,11 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def exclude_pairs(self, ball: ti.template(), i):
-        """A solve whose iteration takes back (LAST, RELAX) leaves other impulses in the pairs, but moves nothing: the next solve,
-        which starts from them, needs no measuring if `warm_velocity` follows. Before that iteration this makes it the velocity of
-        ball i without its pairs, after it what they do now."""
+        """Toggle warm_velocity[i] between the velocity of ball i without its pairs and the change that its pairs make.
+
+        Call it before and after an iteration that takes back (LAST, RELAX): that leaves other impulses in the pairs, but moves
+        nothing. The next solve, which starts from them, then needs no measuring.
+        """
         if ti.static(self.plan.warm_starts):
             self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
             if ti.static(self.model.spins):
@@ -209,7 +211,7 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def second_half(self, i, kick):
-        """What the second half of a step's kick does to ball i, which may have met a wall in this step."""
+        """Second half of the step's kick of ball i [m/s], thrown back by the walls that it met in this step."""
         result = kick
         if ti.static(self.plan.reflects):
             result = impact.thrown_back(self.walls, i, kick)

@@ -17,7 +17,7 @@ STEEPEST_FALL = 0.25
 
 @ti.data_oriented
 class ColliderContacts:
-    """Slots as they were filled when contacts were last looked for. rounding: of a coordinate, as a part of it."""
+    """Contacts of balls with colliders, as the last search found them. rounding: of a coordinate, as a part of it."""
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
         self.model, self.colliders, self.rounding = model, colliders, rounding
@@ -56,7 +56,7 @@ class ColliderContacts:
 
     @ti.func
     def distance_from_origin(self, i, s):
-        """How far [m] from the origin the collider in slot s of ball i is; 0 where the slot is empty."""
+        """Distance [m] from the origin to the collider in slot s of ball i; 0 if the slot is empty."""
         far = 0.0 * self.model.radius[i]
         if self.filled[i] > 0 and self.slot[i * self.count + s].key >= 0:
             far = self.colliders.distance_from_origin(self.collider(i, s))
@@ -90,6 +90,6 @@ class ColliderContacts:
 
     @ti.func
     def _goes_on(self, i, k, x, reach):
-        """Whether ball i at x may be within `reach` [m] of collider k."""
+        """True if ball i at x may be within `reach` [m] of collider k."""
         at_it = self.colliders.collides_with(self.model, i, k)
         return at_it and geometry.near(self.colliders, k, x, self.model.radius[i] + reach)

@@ -108,7 +108,7 @@ class Colliders:
 
     @ti.func
     def distance_from_origin(self, k):
-        """How far collider k is from the origin: the larger, the coarser are places as seen from its centre."""
+        """Largest coordinate [m] of collider k's centre: the larger, the coarser are places as seen from its centre."""
         return ti.abs(self.pose[k].x).max()
 
     def _start(self, k: int) -> tuple[NDArray, NDArray]:
@@ -161,7 +161,7 @@ class Colliders:
 
     @ti.func
     def collides_with(self, model: ti.template(), i, k):
-        """Whether ball i collides with collider k at all."""
+        """True if the groups of ball i and collider k let them collide."""
         allowed = True
         if ti.static(self.has_groups):
             allowed = meets(model.group[i], model.mask[i], self.shape[k].group, self.shape[k].mask)

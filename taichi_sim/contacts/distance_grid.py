@@ -30,9 +30,10 @@ ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 
 class DistanceGrid(NamedTuple):
-    """value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); exact (nz, ny, nx): -1 where values
-    interpolate well in the cell that begins there, else its number; of cells (c + 1, 2) with numbers a triangle of the tree near
-    it, and where those leaves of the tree begin among `leaves` that may hold the closest one: none where these are many."""
+    """Distances from a mesh on a grid: value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); exact
+    (nz, ny, nx): -1 where values interpolate well in the cell that begins there, else its number; of cells (c + 1, 2) with
+    numbers a triangle of the tree near it, and where those leaves of the tree begin among `leaves` that may hold the closest
+    one: none where these are many."""
 
     value: NDArray[np.float64]
     exact: NDArray[np.int32]
@@ -139,7 +140,7 @@ def _on_host(array: Any) -> NDArray[Any]:
 
 
 def _on_device(array: NDArray[Any]) -> Any:
-    """A Taichi array with the same numbers."""
+    """Taichi array with the same numbers."""
     made = ti.ndarray(ti.i32 if array.dtype == np.int32 else ti.f32, array.shape)
     made.from_numpy(array)
     return made

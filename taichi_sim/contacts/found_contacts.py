@@ -134,7 +134,7 @@ class FoundContacts:
         """Declare fields of the rule's own."""
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return [f"contacts.{self.name}", *(name for part in self.parts for name in part.names())] if self.active else []
 
     def forget(self) -> None:
@@ -163,7 +163,7 @@ class FoundContacts:
 
     @ti.func
     def clear(self, i):
-        """Before pairs are measured: nothing of the rule's own is known of ball i yet."""
+        """Clear what the rule itself keeps of ball i, before pairs are measured."""
 
     @ti.func
     def found(self, ball: ti.template()):
@@ -171,7 +171,7 @@ class FoundContacts:
 
     @ti.func
     def _clear(self, i):
-        """Nothing is summed yet of what pairs do to ball i."""
+        """Clear the sums of what pairs do to ball i."""
         self.clear(i)
         if ti.static(self.counts_pairs):
             self.pair_count[i] = 0
@@ -200,7 +200,7 @@ class FoundContacts:
 
     @ti.func
     def refresh(self, ball: ti.template()):
-        """After a move: cut ways short that lead through something, then find the contacts at the present positions."""
+        """Cut ways short that lead through something, after a move, then find the contacts at the present positions."""
         run_parts(self.search_parts, STEP, 0.0, 0.0)
 
     @ti.func

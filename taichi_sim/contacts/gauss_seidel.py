@@ -20,7 +20,8 @@ class GaussSeidel(IteratedRule):
     in_turn = warm_starts = softens = impacts_in_turn = energy_limiter = by_colours = True
 
     def allocate(self, fields: Fields) -> None:
-        """For impacts in turn see pair_impacts, for line searches of islands of balls impact_iterations."""
+        """Allocate the fields of impacts in turn (see pair_impacts) and of line searches of islands of balls (see
+        impact_iterations)."""
         n, dim = self.n, self.model.dim
         if self.plan.impacts_in_turn:
             self.block_limit = n // LIST_BLOCK + 2  # blocks, at most
@@ -86,14 +87,14 @@ class GaussSeidel(IteratedRule):
 
     @ti.func
     def clear(self, i):
-        """Nothing has moved fast yet."""
+        """Clear the marks of what moves fast at ball i."""
         if ti.static(self.plan.impacts_in_turn):
             self.disturbed[i], self.impacts[i] = pair_impacts.UNDISTURBED, 0
             self.pairs.first_from_others[i] = pair_impacts.NO_CONTACT
 
     @ti.func
     def found(self, ball: ti.template()):
-        """Which balls arrive fast at walls, and from when on forces count as load."""
+        """Mark the balls that arrive fast at walls, and note the velocities from which on forces count as load."""
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
         if ti.static(self.plan.loaded):

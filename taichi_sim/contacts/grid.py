@@ -135,7 +135,7 @@ class Grid:
 
     @ti.func
     def note_origin(self, ball: ti.template(), i):
-        """Where ball i is, for triangles, which look for what is near them by themselves."""
+        """Note the position of ball i for triangles, which search for what is near them by themselves."""
         self.origin[i] = ball[i].x
 
     @ti.func

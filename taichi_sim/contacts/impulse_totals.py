@@ -41,14 +41,14 @@ class Received:
 
     @ti.func
     def note(self, i):
-        """What ball i gives from now on may be scaled."""
+        """Mark the start of the impulses of ball i that `scale` may change."""
         if ti.static(self.scaled):
             for e in range(i * self.count, (i + 1) * self.count):
                 self.mark[e] = self.sum[e]
 
     @ti.func
     def scale(self, i, less):
-        """What it gave since then, by 1 + less."""
+        """Scale by 1 + less the impulses that ball i gave since `note`."""
         for e in range(i * self.count, (i + 1) * self.count):
             self.sum[e] = self.sum[e] + less * (self.sum[e] - self.mark[e])
 
@@ -67,6 +67,6 @@ class Received:
         return self.total + given.reshape(self.n, self.count, self.model.dim).sum(axis=0)
 
     def set(self, total: NDArray[np.float64]) -> None:
-        """Go on from a total (bodies, dim) [N s]."""
+        """Continue from a total (bodies, dim) [N s]."""
         self.total = total.copy()
         self.sum.fill(0)

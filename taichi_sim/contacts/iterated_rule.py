@@ -12,7 +12,7 @@ __all__ = ["IteratedRule"]
 
 @ti.data_oriented
 class IteratedRule(ContactRule):
-    """To be given: `iterate`, one iteration; what comes before the first and after the last one."""
+    """Base of rules that iterate. To be given: `iterate`, one iteration; what comes before the first and after the last one."""
 
     velocity_when_found: Any  # where the plan is `loaded`
     velocity_from_forces: Any
@@ -23,11 +23,11 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
-        """Before accumulated impulses are applied."""
+        """Do what comes first, before accumulated impulses are applied."""
 
     @ti.func
     def after_iterations(self, ball: ti.template(), impacts: ti.template()):
-        """Before the energy limiter."""
+        """Do what comes last, before the energy limiter."""
 
     @ti.func
     def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
@@ -60,7 +60,7 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def repeat(self, ball: ti.template(), number: ti.template(), how: ti.template()):
-        """So many iterations."""
+        """Run so many iterations."""
         if ti.static(self.plan.serial):
             for _ in range(number):
                 self.iterate(ball, 0.0, how)
@@ -70,7 +70,7 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def limit_energy(self, ball: ti.template(), iterations: ti.template(), impacts: ti.template()):
-        """Let what has stopped bounce, as far as energy allows."""
+        """Make stopped contacts bounce, as far as energy allows."""
         if ti.static(self.plan.limits_energy):
             if ti.static(impacts):
                 energy_limiter.note_stopped(self, ball)
@@ -81,7 +81,8 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def impulses_of_sticks_and_triangles(self, ball: ti.template(), i, how: ti.template()):
-        """What an iteration gives ball i: nothing where all they accumulated was applied before the move."""
+        """Impulse and angular impulse on ball i from sticks and triangles in an iteration: zero where all they accumulated was
+        applied before the move."""
         p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
         if ti.static(how.starts):
             p, t = self.gather_sticks_and_triangles(ball, i)

@@ -23,7 +23,7 @@ class Jacobi(IteratedRule):
     split = warm_starts = softens = energy_limiter = gathers = True
 
     def allocate(self, fields: Fields) -> None:
-        """What an iteration sums for each ball."""
+        """Allocate the sums of an iteration for each ball, and choose the relaxation."""
         self.relaxation = RELAXATION
         if self.iterations < FEW_ITERATIONS:  # one changes the energy by sum lambda |u| (relaxation (1 + e) / 2 - 1)
             self.relaxation = min(RELAXATION, 2.0 / (1.0 + max_restitution(self.model.scene)))
@@ -36,7 +36,7 @@ class Jacobi(IteratedRule):
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):
-        """All contacts from the same velocities."""
+        """Solve all contacts from the same velocities."""
         if ti.static(self.plan.gathers):
             for k in range(self.solved_at_once):
                 if ti.static(how.starts):

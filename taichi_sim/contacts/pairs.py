@@ -99,11 +99,11 @@ class Pairs:
             self.spring_start, self.spring_other = fields.integers(start), fields.integers(other)
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return ["grid", "pairs"]
 
     def forget(self) -> None:
-        """Nothing is accumulated, once the next search asks what was."""
+        """Clear what contacts have accumulated, from the next search on."""
         self.held.fill(0)
 
     @ti.func

@@ -16,7 +16,7 @@ UNEQUAL_MASSES = 4.0  # times: from here on iterations converge slowly
 
 @dataclass(frozen=True)
 class ContactPlan:
-    """What is built, and then compiled; a part that the scene lacks is no code at all."""
+    """Parts of the contact code that are built and compiled; a part that the scene lacks is no code at all."""
 
     pairs: bool  # of balls
     neighbours: bool  # balls or sticks look for balls
@@ -46,7 +46,7 @@ class ContactPlan:
 
     @property
     def active(self) -> bool:
-        """Whether there may be any contact at all."""
+        """True if there may be any contact at all."""
         return self.pairs or self.walls
 
     def __str__(self) -> str:
@@ -181,7 +181,7 @@ def slowest_bounce(scene: Scene, h: float) -> float:
 
 
 def may_collide(scene: Scene) -> bool:
-    """Whether any two balls may touch: not both pinned, not of one body, not joined by a spring."""
+    """True if any two balls may touch: not both pinned, not of one body, not joined by a spring."""
     n = scene.n_balls
     total = n * (n - 1) // 2
     pinned = int(scene.pinned.sum())

@@ -57,11 +57,11 @@ class Sticks:
         self.used, self.entries, self.overflow = (fields.integers(1) for _ in range(3))
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return ["sticks"]
 
     def forget(self) -> None:
-        """Nothing is accumulated, once sticks are looked at again."""
+        """Clear what contacts have accumulated, once sticks are looked at again."""
         if self.plan.warm_starts:
             self.length.fill(0)
 
@@ -81,14 +81,14 @@ class Sticks:
 
     @ti.func
     def comes_after(self, entry, other):
-        """Whether an entry comes after another: by stick, then by place among its contacts."""
+        """True if an entry comes after another: by stick, then by place among its contacts."""
         a, b = self.contact[entry // 3].stick, self.contact[other // 3].stick
         return a > b or (a == b and entry > other)
 
     @ti.func
     def shares(self, i):
-        """What decides into how many parts ball i splits its mass, see mass_sharing: one for each stick, whose contacts know of
-        each other. As an end it may be pushed in any direction by one."""
+        """Sums that decide into how many parts ball i splits its mass, see mass_sharing: one for each stick, whose contacts
+        know of each other. As an end it may be pushed in any direction by one."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         count, before = 0, -1
         for e in range(self.first[i], self.first[i] + self.number[i]):
@@ -109,7 +109,7 @@ class Sticks:
 
     @ti.func
     def begin_contact(self, c, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """The same for contact c."""
+        """Fix the target speed of contact c, and what it starts with."""
         contact = self.contact[c]
         u = self.relative_velocity(ball, contact).dot(contact.normal)
         e = self.law(contact).restitution
@@ -118,12 +118,12 @@ class Sticks:
 
     @ti.func
     def end_contacts(self, ball: ti.template()):
-        """Keep of what contacts accumulated what may be a load."""
+        """Limit what contacts accumulated to what may be a load."""
         each_contact(self, self.end_contact, (ball,))
 
     @ti.func
     def end_contact(self, c, ball: ti.template()):
-        """The same for contact c."""
+        """Limit what contact c accumulated to what may be a load."""
         contact = self.contact[c]
         inverse = self.model.inverse_mass[contact.ball]
         inverse += self.model.inverse_mass[self.one[contact.stick]] * (1.0 - contact.at) ** 2
@@ -139,14 +139,14 @@ class Sticks:
 
     @ti.func
     def solve_one(self, s, ball: ti.template(), solver: ti.template(), time):
-        """The same of stick s, if there is such a one."""
+        """Further impulses of the contacts of stick s, if there is such a stick; viscous friction acts for `time` seconds."""
         if s < self.m:
             if self.length[s] > 0:
                 stick_sweeps.solve(self, solver, ball, s, time)
 
     @ti.func
     def inverse_mass(self, solver: ti.template(), contact):
-        """sum w_i g_i^2 s_i over the three balls."""
+        """Sum of w_i g_i^2 s_i over the three balls [1/kg]."""
         one, two = (
             solver.effective_inverse_mass[self.one[contact.stick]],
             solver.effective_inverse_mass[self.two[contact.stick]],

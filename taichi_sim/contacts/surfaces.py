@@ -18,8 +18,8 @@ __all__ = ["Surfaces"]
 
 @ti.data_oriented
 class Surfaces:
-    """Where the surfaces are that each ball may touch: `count` of them, the `planes`, then what is in the ball's slots for
-    colliders (`collider_contacts`). colliders: None where the scene has none, then nothing of this is compiled."""
+    """Places of the surfaces that each ball may touch: `count` of them, the `planes`, then those in the ball's slots for
+    colliders (`collider_contacts`). colliders: None if the scene has none, then nothing of this is compiled."""
 
     def __init__(self, model: Model, fields: Fields, colliders: Colliders | None, limits_energy: bool) -> None:
         self.model, self.colliders = model, colliders
@@ -44,7 +44,7 @@ class Surfaces:
 
     @ti.func
     def touch(self, x, i, k):
-        """The same for its contact k."""
+        """Gap [m] below which ball i at x touches its contact k; see `tolerance`."""
         far = 0.0 * self.model.radius[i]
         if ti.static(self.has_colliders):
             if k >= self.planes.count:

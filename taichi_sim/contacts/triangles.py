@@ -122,7 +122,7 @@ class TriangleContacts:
         self.common_way, self.common_change, self.common_step = (fields.vectors(1, 3) for _ in range(3))
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return ["triangles"]
 
     @ti.func
@@ -132,7 +132,7 @@ class TriangleContacts:
 
     @ti.func
     def comes_after(self, entry, other):
-        """Whether an entry comes after another: by owner of its contact, then by place among what the owner listed."""
+        """True if an entry comes after another: by owner of its contact, then by place among what the owner listed."""
         a, b = self.contact[entry // 4], self.contact[other // 4]
         return a.owner > b.owner or (a.owner == b.owner and a.place > b.place)
 
@@ -171,7 +171,7 @@ class TriangleContacts:
 
     @ti.func
     def relative_velocity(self, ball: ti.template(), c):
-        """sum g_i v_i of a contact."""
+        """Relative velocity sum g_i v_i of a contact [m/s]."""
         u = ti.Vector.zero(float, 3)
         for k in ti.static(range(4)):
             u += self.weight[4 * c + k] * ball[self.member[4 * c + k]].v
@@ -190,7 +190,7 @@ class TriangleContacts:
 
     @ti.func
     def begin_contact(self, c, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """The same for contact c."""
+        """Fix the target speed of contact c. If it is apart it may close the gap, but not go on."""
         contact = self.contact[c]
         if contact.thickness >= 0.0:
             u = self.relative_velocity(ball, c).dot(contact.normal)
@@ -212,13 +212,13 @@ class TriangleContacts:
 
     @ti.func
     def solve_one(self, c, ball: ti.template(), solver: ti.template(), time):
-        """The same of contact c, if there is such a one."""
+        """Further impulse of contact c, if there is such a contact; viscous friction acts for `time` seconds."""
         if c < ti.min(self.used[0], self.capacity):
             self.solve_contact(c, ball, solver, time)
 
     @ti.func
     def solve_contact(self, c, ball: ti.template(), solver: ti.template(), time):
-        """The same of contact c."""
+        """Further impulse of contact c from the present velocities; viscous friction acts for `time` seconds."""
         contact = self.contact[c]
         if contact.thickness >= 0.0:
             n = contact.normal
@@ -300,7 +300,7 @@ class TriangleContacts:
 
 
 def stages(bottom_nodes: int) -> list[tuple[int, int]]:
-    """How devices join a tree: (first node, height of subtrees) for each of several loops, one thread for each subtree."""
+    """Loops in which a device joins a tree: (first node, height of subtrees) of each, one thread for each subtree."""
     found, first = [], bottom_nodes
     while first > 1:
         height = min(SUBTREE_HEIGHT, first.bit_length() - 1)

@@ -53,7 +53,7 @@ class Walls(Surfaces):
             self.reflected = fields.vectors(model.n, model.dim)
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return ["walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else [])]
 
     @ti.func
@@ -82,13 +82,13 @@ class Walls(Surfaces):
 
     @ti.func
     def is_solved(self, c):
-        """Whether contact c is a constraint of the solve."""
+        """True if contact c is a constraint of the solve."""
         return self.contact[c].role != LEAVING and self.contact[c].role != ARRIVING
 
     @ti.func
     def measure(self, ball: ti.template(), solver: ti.template(), i, crowded):
-        """Which walls ball i touches, or may be pushed to; one that it left has accumulated nothing. crowded: it touches other
-        balls."""
+        """Find the walls that ball i touches, or may be pushed to; one that it left has accumulated nothing. crowded: it
+        touches other balls."""
         count = 0
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
@@ -144,8 +144,8 @@ class Walls(Surfaces):
 
     @ti.func
     def begin(self, ball: ti.template(), solver: ti.template(), i, impacts: ti.template(), starts: ti.template()):
-        """Which walls of ball i are constraints of the solve, with what target speed; where it `starts`, apply what they have
-        accumulated. A ball that arrives fast at a wall is left to `move`."""
+        """Choose the walls of ball i that are constraints of the solve, and fix their target speeds; where it `starts`, apply
+        what they have accumulated. A ball that arrives fast at a wall is left to `move`."""
         v = ball[i].v
         crowded = False
         if ti.static(self.plan.walls_in_turn):

@@ -45,8 +45,8 @@ CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Ta
 
 
 class Backend(NamedTuple):
-    """What runs: arch ("cpu", "cuda", ...), precision ("f32" or "f64"), threads (CPU threads; 0 on a GPU), device: its name and
-    driver, "" for the CPU."""
+    """Engine's target: arch ("cpu", "cuda", ...), precision ("f32" or "f64"), threads (CPU threads; 0 on a GPU), device: its
+    name and driver, "" for the CPU."""
 
     arch: str
     precision: str
@@ -62,7 +62,7 @@ class Backend(NamedTuple):
 
     @property
     def has_wide_numbers(self) -> bool:
-        """Whether its kernels may use 64-bit numbers and atomics on them: many Vulkan and Metal devices have none."""
+        """True if its kernels may use 64-bit numbers and atomics on them: many Vulkan and Metal devices have none."""
         return self.arch in WIDE_ARCHES
 
     @property
@@ -83,7 +83,7 @@ def running() -> Backend | None:
 
 
 def has_wide_numbers() -> bool:
-    """Whether what runs has 64-bit numbers."""
+    """True if the running backend has 64-bit numbers, or none runs."""
     runs = running()
     return runs is None or runs.has_wide_numbers
 
@@ -217,8 +217,8 @@ def _without_banner() -> Iterator[None]:
 
 @contextmanager
 def _own_settings() -> Iterator[None]:
-    """Without environment variables that change what `start` sets, as TI_ARCH, of which a wrong one would end the process. Raises
-    BackendError where another one is wrong."""
+    """Context without environment variables that change what `start` sets, as TI_ARCH, of which a wrong one would end the
+    process. Raises BackendError where another one is wrong."""
     with restored_environment():
         for name in OWN_SETTINGS:
             os.environ.pop(PREFIX + name, None)
@@ -235,7 +235,7 @@ def _own_settings() -> Iterator[None]:
 
 
 def _is_trusted(arch: str) -> bool:
-    """Whether a device that nobody asked for may be taken: no software one, and one that has passed the self-test."""
+    """True if a device that nobody asked for may be taken: no software one, and one that has passed the self-test."""
     device = find(arch)
     if device is None or device.software:
         return False
@@ -246,12 +246,12 @@ def _is_trusted(arch: str) -> bool:
 
 
 def _is_served(arch: str) -> bool:
-    """Whether the engine runs these kernels there, as far as is known."""
+    """True if the engine runs these kernels there, as far as is known."""
     return ENGINE != "quadrants" or arch in ("auto", *QUADRANTS_ARCHES)
 
 
 def _works(arch: str) -> bool:
-    """Whether Taichi was built with this arch and finds a device for it."""
+    """True if Taichi was built with this arch and finds a device for it."""
     if sys.platform == "linux" and find(arch) is None:  # Taichi would complain on standard error
         return False
     return finds(arch)

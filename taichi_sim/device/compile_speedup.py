@@ -38,5 +38,5 @@ def _position(self: Any, node: Any) -> str:
 
 
 def _fill(line: str, tabsize: int, width: int) -> str:
-    """What textwrap.fill does with one line of source that is shorter than `width`."""
+    """Replacement of textwrap.fill for one line of source that is shorter than `width`."""
     return line.expandtabs(tabsize).rstrip()

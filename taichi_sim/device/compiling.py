@@ -1,4 +1,4 @@
-"""How long a process has spent on its kernels, and how long a scene like this one will take.
+"""Time that a process has spent on its kernels, and an estimate of what a scene like this one will take.
 
 Compiled once, kernels are kept on disk, and a later process that needs the same ones only loads them: so what a scene took last
 is remembered by what it is compiled from. What is kept is no machine code yet: that is made when a kernel is launched for the
@@ -44,12 +44,12 @@ _met: set[str] = set()  # scenes of this process: a second one like it compiles 
 
 
 def seconds() -> float:
-    """What this process has spent on compiling and loading kernels, tracing and the first launch of each included."""
+    """Seconds that this process has spent on compiling and loading kernels, tracing and the first launch of each included."""
     return _spent
 
 
 def loaded() -> bool:
-    """Whether most kernels of this process were compiled by an earlier one, and only loaded."""
+    """True if most kernels of this process were compiled by an earlier one, and only loaded."""
     return _in_compiler < LOADED_PART * _spent
 
 
@@ -129,13 +129,13 @@ def watched(hear: Callable[[], None]) -> Iterator[None]:
 
 
 def _pace(known: Mapping[str, Any]) -> float:
-    """How many times AT_FIRST kernels take here, as far as that is known."""
+    """Factor by which kernels take longer here than AT_FIRST, as far as that is known."""
     pace = known.get(PACE)
     return float(pace) if isinstance(pace, (int, float)) and 0.1 < pace < 100.0 else 1.0
 
 
 class Expected:
-    """How long the kernels of a scene will take, from what they took before.
+    """Time that the kernels of a scene will take, from what they took before.
 
     Args: names: the parts that they are compiled from. settings: what else they depend on. pictures: whether it is drawn, too.
     """
@@ -149,7 +149,7 @@ class Expected:
 
     @classmethod
     def of(cls, simulation: Any, pictures: bool) -> "Expected":
-        """Of a Simulation, from now on."""
+        """Expected of a Simulation, from now on."""
         parts = simulation.parts
         dim = simulation.scene.dim
         settings = (dim, str(simulation.backend), parts.fields.layout)  # lengths are compiled in
@@ -160,7 +160,7 @@ class Expected:
         return one
 
     def words(self, waited: float = 0.0) -> str:
-        """For those who have waited so many seconds."""
+        """Message for those who have waited so many seconds."""
         if self._again or (self._before is not None and self._before < 1.0):
             return "starting"
         if self._before is None:
@@ -177,12 +177,12 @@ class Expected:
         return sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names])
 
     def spent(self) -> None:
-        """They are all there: remember what they took."""
+        """Remember what the kernels took, when they are all there."""
         if not self._again:
             self.remember(seconds() - self._since)
 
     def remember(self, spent: float) -> None:
-        """What they took: at first to compile them, later to load them."""
+        """Record the seconds that the kernels took: at first to compile them, later to load them."""
         known = recall(TABLE)
         known.pop(self._key, None)
         if self._before is None and spent > 1.0:  # else another process had compiled it

@@ -1,4 +1,4 @@
-"""Which devices this machine has, by name, and which of them may be taken without being asked for."""
+"""Devices that this machine has, by name, and which of them may be taken without being asked for."""
 
 import ctypes
 import ctypes.util
@@ -29,8 +29,8 @@ START = (
 
 
 class Device(NamedTuple):
-    """name and driver as the driver says them, memory in bytes, of the CPU what is free; "" and 0 where that is not known.
-    software: the CPU computes in its place, right but slowly."""
+    """Device of the machine: name and driver as the driver says them, memory in bytes, of the CPU what is free; "" and 0 where
+    that is not known. software: the CPU computes in its place, right but slowly."""
 
     arch: str
     name: str
@@ -65,7 +65,8 @@ def verdict(device: Device, version: str, again: bool = False) -> str:
 
 
 def examine(arch: str) -> str:
-    """What is wrong with a device, or "" where it passed. In a process of its own, which a broken driver may end."""
+    """Fault of a device, or "" where it passed the self-test. It runs in a process of its own, which a broken driver may
+    end."""
     try:
         command = [sys.executable, "-c", START, SELF_TEST, arch]
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)

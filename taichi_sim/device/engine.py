@@ -100,14 +100,14 @@ if IS_KNOWN:
 
 
 def program() -> Any:
-    """What runs, or None: the same object until the engine is stopped."""
+    """Running program, or None: the same object until the engine is stopped."""
     runtime = ti.lang.impl.get_runtime()
     return runtime.prog if ENGINE == "taichi" else runtime._prog
 
 
 def forget_launches() -> None:
-    """To be called where kernels were dropped: Quadrants 1.4.0 keeps their prepared launches by address, and a new kernel that
-    gets the address of a dropped one is refused ("kernel_ == other.kernel_")."""
+    """Forget prepared launches, where kernels were dropped: Quadrants 1.4.0 keeps them by address, and a new kernel that gets
+    the address of a dropped one is refused ("kernel_ == other.kernel_")."""
     if ENGINE == "quadrants":
         for kernel in ti.lang.impl.get_runtime().kernels:
             prepared = getattr(kernel, "launch_context_buffer_cache", None)  # other versions may have none
@@ -121,15 +121,15 @@ CompilationError: type[Exception] = ti.TaichiCompilationError if ENGINE == "taic
 
 
 def finds(arch: str) -> bool:
-    """Whether the engine was built with this arch and finds a device for it."""
+    """True if the engine was built with this arch and finds a device for it."""
     return bool(ti.lang.misc.is_arch_supported(getattr(ti, arch)))
 
 
 def on_device() -> bool:
-    """Whether what runs is no CPU, but a device with thousands of threads."""
+    """True if the kernels run on a device with thousands of threads, and not on a CPU."""
     return ti.lang.impl.current_cfg().arch not in (ti.x64, ti.arm64)
 
 
 def has_right_sines() -> bool:
-    """Whether sines of what runs are right to the last digits: Vulkan and Metal promise three."""
+    """True if sines are right to the last digits where kernels run: Vulkan and Metal promise three."""
     return ti.lang.impl.current_cfg().arch in (ti.x64, ti.arm64, ti.cuda)

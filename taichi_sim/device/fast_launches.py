@@ -26,10 +26,10 @@ WHOLE, REAL = (int, np.integer), (int, float, np.integer, np.floating)
 
 
 class _Compiled(dict):
-    """What the engine has compiled of a kernel, by its own keys. fast: the kernel and its machine code, by ours.
+    """Compiled forms of a kernel in the engine, by its own keys. fast: the kernel and its machine code, by ours.
 
-    The engine forgets all of it when it gives memory back, and takes another dictionary when it stops: nothing that was compiled
-    before may be touched then.
+    The engine forgets all of it when it gives memory back, and takes another dictionary when it stops: nothing that was
+    compiled before may be touched then.
     """
 
     def __init__(self, known: dict) -> None:
@@ -93,7 +93,7 @@ class _FastKernel:
         return None
 
     def _key(self, args: tuple[Any, ...]) -> Any:
-        """What the compiled kernel depends on; None where the engine has to find out."""
+        """Key of the arguments that the compiled kernel depends on; None where the engine has to find out."""
         if len(args) != len(self._keys):
             return None
         keys = tuple([key(argument) for key, argument in zip(self._keys, args)])
@@ -189,7 +189,7 @@ def by_engine() -> Iterator[None]:
 
 
 def quicken(kind: type) -> None:
-    """Let objects of this class, one of this package, launch their kernels fast, and let their attributes be plain ones."""
+    """Make objects of this class, one of this package, launch their kernels fast, and their attributes plain ones."""
     for base in kind.__mro__:
         if "_data_oriented" not in vars(base) or "__getattribute__" not in vars(base):
             continue

@@ -24,7 +24,7 @@ def fill(field: Any, values: NDArray) -> None:
 
 
 class OtherFieldsError(Exception):
-    """What is declared is unlike the fields whose memory it should take over."""
+    """Declared fields are unlike those whose memory they should take over."""
 
 
 class Fields:
@@ -227,7 +227,7 @@ class Fields:
 
     @property
     def built(self) -> bool:
-        """Whether the fields may be used: built, neither freed nor gone with the engine."""
+        """True if the fields may be used: built, neither freed nor gone with the engine."""
         return self._tree is not None and self._tree.alive
 
     def free(self) -> None:

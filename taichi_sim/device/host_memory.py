@@ -57,7 +57,7 @@ class HostMemory:
 
     @property
     def alive(self) -> bool:
-        """Whether the memory is there, and seen."""
+        """True if the memory is there, and seen."""
         return self._program is not None and self._program is program()
 
     def clear(self) -> None:
@@ -119,7 +119,7 @@ def _address(field: ti.template()) -> ti.u64:
 
 @functools.cache
 def _install() -> None:
-    """Let the engine's fields copy by their views where they have them."""
+    """Make the engine's fields copy by their views where they have them."""
     for kind in (ti.ScalarField, ti.MatrixField):
         for name, ours in (("to_numpy", _read), ("_from_external_arr", _write), ("fill", _fill)):
             setattr(kind, name, _either(ours, getattr(kind, name)))

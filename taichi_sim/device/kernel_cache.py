@@ -1,5 +1,5 @@
-"""Where compiled kernels are kept. The folder is chosen before the engine starts: without a home it ends the process at once, and
-at the end where it cannot write there."""
+"""Folder in which compiled kernels are kept. It is chosen before the engine starts: without a home it ends the process at once,
+and at the end where it cannot write there."""
 
 import os
 import stat

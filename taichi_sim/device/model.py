@@ -83,7 +83,7 @@ class Model:
         return 1.0 / (1.0 + self.spin_response(i))
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """For each ball the balls that a spring joins it to, as (start (n + 1), other (2 m)), sorted."""
+        """Balls that a spring joins each ball to, as (start (n + 1), other (2 m)), sorted."""
         return incidence(self.scene.pairs, self.n)[:2]
 
 

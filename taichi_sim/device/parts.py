@@ -82,7 +82,7 @@ class Chain:
 
 
 def _install() -> None:
-    """Let what is inlined into a function be written there; the engine would write it into the kernel."""
+    """Make the engine write what is inlined into a function there, and not into the kernel."""
     from taichi.lang import impl, kernel_impl
 
     tree_and_context = kernel_impl._get_tree_and_ctx

@@ -29,7 +29,8 @@ _Place = Any  # where among the parts something was met: None, or (place of what
 
 
 class Shared(NamedTuple):
-    """What parts are known by for their kernels; "" where they share none. told: from what that was made, (place, words)."""
+    """Key under which compiled kernels are shared; "" where they are not. told: the (place, words) from which it was made, to
+    explain a difference."""
 
     known_by: str
     told: list[tuple[_Place, tuple[object, ...]]]
@@ -48,9 +49,10 @@ class Shared(NamedTuple):
 
 
 def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> Shared:
-    """Let these parts, and all that they hold, use the kernels compiled for equal ones. To be called once all fields have memory,
-    before any kernel has run. apart: types of what no kernel reads, a scene for instance. Nothing is shared where there are
-    user-defined parts among them, which may read what is not seen here.
+    """Make these parts, and all that they hold, use the kernels compiled for equal ones.
+
+    To be called once all fields have memory, before any kernel has run. apart: types of what no kernel reads, a scene for
+    instance. Nothing is shared where there are user-defined parts among them, which may read what is not seen here.
     """
     if not IS_KNOWN:
         return Shared("", [])
@@ -163,7 +165,7 @@ class _Walk:
 
 @functools.cache
 def _reader(kind: type) -> Callable[[_Walk, Any, type], None]:
-    """How an object of a kind is read."""
+    """Method of `_Walk` that reads an object of a kind."""
     for read, kinds in (
         (_Walk.field, ti.Field),
         (_Walk.array, np.ndarray),
@@ -192,8 +194,8 @@ def _is_ours(value: Any) -> bool:
 
 @functools.cache
 def _install() -> None:
-    """Let the engine look for the key of an object, or of a field, before it takes it by its identity; and refuse kernels of this
-    package that read a NumPy array, whose numbers the key does not hold."""
+    """Make the engine look for the key of an object, or of a field, before it takes it by its identity; and refuse kernels of
+    this package that read a NumPy array, whose numbers the key does not hold."""
     from taichi.lang.ast.ast_transformer import ASTTransformer
     from taichi.lang.kernel_impl import TaichiCallableTemplateMapper as Mapper
 

@@ -103,7 +103,8 @@ class State:
 
     @property
     def rounded_off(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """What single precision rounded off of positions and velocities, both (n, dim), or None where it is not kept."""
+        """Parts that single precision rounded off of positions and velocities, both (n, dim), or None where they are not
+        kept."""
         if not self.compensated:
             return None
         return self.values(self.low.x), self.values(self.low.v)

@@ -35,11 +35,11 @@ class Tree:
 
     @property
     def alive(self) -> bool:
-        """Whether the engine still runs that holds it."""
+        """True if the engine that holds it still runs."""
         return self._program is program()
 
     def lend(self, declared: list[Any]) -> None:
-        """Let declared fields of this layout mean this memory."""
+        """Make declared fields of this layout aliases of this memory."""
         for field, own in zip(declared, self.fields):
             lead(field, own)
 
@@ -98,12 +98,12 @@ def take_back(tree: Tree) -> None:
 
 
 def drop(tree: Tree) -> None:
-    """Like `take_back`, on any thread: it is kept when the next one is looked for."""
+    """Give back a tree on any thread: it is kept when the next one is looked for."""
     _dropped.append(tree)
 
 
 def forget(builder: Any) -> None:
-    """Let the engine not wait for a builder whose fields nobody will use."""
+    """Remove a builder whose fields nobody will use from what the engine waits for."""
     runtime = ti.lang.impl.get_runtime()
     runtime.unfinalized_fields_builder.pop(builder, None)
     for waiting in (runtime.global_vars, runtime.grad_vars, runtime.dual_vars, runtime.matrix_fields):
@@ -141,7 +141,7 @@ def _numbers(field: Any) -> list[Any]:
 
 
 def twin(field: Any) -> Any:
-    """Another field that means the same memory."""
+    """Copy of a field that means the same memory."""
     if isinstance(field, ti.StructField):
         other = ti.StructField({name: twin(one) for name, one in field._items}, field.struct_methods, field.name)
     else:
@@ -153,7 +153,7 @@ def twin(field: Any) -> Any:
 
 
 def lead(field: Any, own: Any) -> None:
-    """Let a field, and the members that may have been taken from it, mean the memory of another one of its layout."""
+    """Make `field`, and the members that may have been taken from it, aliases of `own`, another field of the same layout."""
     if isinstance(field, ti.StructField):
         vars(field)[KEY] = vars(own).get(KEY)
         for name, member in field._items:

@@ -48,7 +48,7 @@ class Bending(Corners):
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
-        """By the curvature, and by the rate of its size."""
+        """Force on ball i [N] by the curvature, and by the rate of its size."""
         bent = self._curve(ball, i, row)
         pull = row.stiffness * bent
         if ti.static(self.damped):
@@ -62,7 +62,7 @@ class Bending(Corners):
 
     @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
-        """The element's, in shares as its weights are."""
+        """Share of ball i of the element's energy [J], in proportion to the sizes of its weights."""
         bent = self._curve(ball, i, row)
         share = abs(row.own) / max(1e-30, abs(row.own) + abs(row.wa) + abs(row.wb) + abs(row.wc))
         return 0.5 * ti.cast(share * row.stiffness, real) * ti.cast(bent.dot(bent), real)

@@ -106,7 +106,7 @@ class Cells(Corners):
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
-        """By the pressure of the cell or of its group."""
+        """Force on corner i [N] by the pressure of the cell or of its group."""
         volume, g = self._volume(ball, i, row)
         part = volume * row.inverse
         pressure = row.modulus * (part - 1.0) + row.crush * min(part - CRUSHED, 0.0)
@@ -116,7 +116,7 @@ class Cells(Corners):
 
     @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
-        """The same part of the cell's for each corner."""
+        """Share of corner i of the cell's energy [J]: equal for all corners."""
         volume, _ = self._volume(ball, i, row)
         part, modulus, crush = volume * row.inverse, row.modulus, row.crush
         if ti.static(self.shared):

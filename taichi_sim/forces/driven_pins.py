@@ -110,10 +110,10 @@ class DrivenPins:
 
 @ti.data_oriented
 class DrivenPinSlopes:
-    """What springs to driven pins do at the start of a step. A pin has one velocity through a step and another through the next.
-    Accelerations that the first left at its end have damping by it; the next step needs that by the second: w c (n . du) n more
-    for each damped spring from a free ball to a pin whose velocity changes by du. Without that the error is of first order in the
-    step, at corners and where pins speed up."""
+    """Accelerations by springs to driven pins at the start of a step. A pin has one velocity through a step and another through
+    the next. Accelerations that the first left at its end have damping by it; the next step needs that by the second: more by w
+    c (n . du) n for each damped spring from a free ball to a pin whose velocity changes by du. Without that the error is of
+    first order in the step, at corners and where pins speed up."""
 
     def __init__(self, model: Model, state: State, pins: DrivenPins, springs: Springs, fields: Fields) -> None:
         scene = model.scene
@@ -139,7 +139,7 @@ class DrivenPinSlopes:
 
     @ti.func
     def renew(self, slope: ti.template()):
-        """At the end of a step: from the velocities of pins in this step to those in the next, in slope (n) [m/s^2]."""
+        """Change slope (n) [m/s^2], at the end of a step, from the velocities of pins in this step to those in the next."""
         for b in range(self.m):
             i = self.ball[b]
             change = ti.Vector.zero(float, self.model.dim)

@@ -87,7 +87,7 @@ class Gases(Corners):
 
     @ti.func
     def force(self, ball: ti.template(), i):
-        """On ball i [N], at the pressures that `press` found: a sixth of (b - x) x (c - x) from each of its triangles."""
+        """Force on ball i [N], at the pressures that `press` found: a sixth of (b - x) x (c - x) from each of its triangles."""
         f = ti.Vector.zero(float, 3)
         for e in range(self.start[i], self.start[i + 1]):
             row = self.row[e]

@@ -18,10 +18,9 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 
 @ti.data_oriented
 class Corners:
-    """What a force of elements is made of: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order
-    of the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
-    see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
-    """
+    """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
+    the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
+    see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing."""
 
     may_slice = False
 
@@ -61,7 +60,7 @@ class Corners:
 
     @ti.func
     def is_whole(self, e):
-        """Whether the element of row e is whole."""
+        """True if the element of row e is whole."""
         whole = True
         if ti.static(self.tears):
             whole = self.gone[e] == 0
@@ -81,11 +80,11 @@ class Corners:
 
     @ti.func
     def prepare(self, ball: ti.template()):
-        """Before forces are asked for: what elements have in common."""
+        """Compute what elements have in common, before forces are asked for."""
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
-        """What the element of a row does to ball i [N]; a force of elements overrides it."""
+        """Force of the element of a row on ball i [N]; a force of elements overrides it."""
         return ti.Vector.zero(float, self.dim)
 
     @ti.func

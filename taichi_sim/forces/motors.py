@@ -94,5 +94,5 @@ class Motors:
 
 
 def motors_of(model: Model, springs: Springs | None, fields: Fields) -> Any:
-    """Those of a scene, or None."""
+    """Motors of a scene, or None."""
     return Motors(model, springs, fields) if springs is not None and model.scene.motors else None

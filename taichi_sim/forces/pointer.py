@@ -89,19 +89,19 @@ class Pointer:
             self._set_target(goal)
 
     def release(self) -> None:
-        """Let go."""
+        """Release the ball that is dragged."""
         self._there()
         self.ball, self._balls, self._places = None, self._balls[:0], self._places[:0]
         self._count[0] = 0
 
     @property
     def ready(self) -> bool:
-        """Whether it belongs to a simulation that is open."""
+        """True if it belongs to a simulation that is open."""
         return self._fields is not None and self._fields.built
 
     @property
     def target(self) -> NDArray[np.float64] | None:
-        """Where the ball is drawn to (dim,) [m], or None."""
+        """Place (dim,) [m] that the ball is drawn to, or None."""
         return None if self.ball is None else self._target
 
     def _there(self) -> Scene:

@@ -16,8 +16,8 @@ SPARSEST = 1.5
 
 
 class Slices(NamedTuple):
-    """Where lists lie that kernels.loops.list_entry reads. start (slices): the first place of each slice; place (entries): that
-    of each entry; room: all places, of which some are idle."""
+    """Layout of the lists that kernels.loops.list_entry reads. start (slices): the first place of each slice; place (entries):
+    that of each entry; room: all places, of which some are idle."""
 
     start: NDArray[np.int32]
     place: NDArray[np.int64]
@@ -25,7 +25,7 @@ class Slices(NamedTuple):
 
     @classmethod
     def of(cls, start: NDArray[np.int32]) -> "Slices | None":
-        """Those of lists that lie one behind the other from start (n + 1) on; None on a CPU, and where lists differ so much in
+        """Slices of lists that lie one behind the other from start (n + 1) on; None on a CPU, and where lists differ so much in
         length that they had better stay so."""
         if not on_device() or start[-1] == 0:
             return None

@@ -101,7 +101,7 @@ class Springs:
         self.loop = orders.get(order)  # batches are for methods that take springs in turn
 
     def _placed_as(self, chosen: NDArray, data: dict[str, NDArray], fields: Fields) -> dict[str, NDArray]:
-        """The same springs in another order, with idle ones from ball 0 to ball 1 where it is -1."""
+        """Columns of the springs in the order `chosen`, with idle springs from ball 0 to ball 1 where it is -1."""
         # (m) entry of each spring of `start`
         self.place = fields.integers(np.argsort(chosen, kind="stable")[-self.m :])
         self.entries = len(chosen)
@@ -118,7 +118,7 @@ class Springs:
             fill(self.spring.damping, stored)
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         return [f"springs.{self.order}"] + (["springs.damping"] if self.damped else [])
 
     @ti.func

@@ -77,7 +77,7 @@ class TotalForce:
             self.damping_impulse = fields.vectors(model.n, model.dim)
 
     def allocate(self, state: State, fields: Fields) -> None:
-        """Let the user's forces declare fields."""
+        """Allocate the fields of the user's forces."""
         for force in self.extra:
             if hasattr(force, "allocate"):
                 force.allocate(self.model, state, fields)
@@ -89,7 +89,7 @@ class TotalForce:
         return taken
 
     def names(self) -> list[str]:
-        """What is compiled in, for `Simulation.kernels()`."""
+        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
         names = ["gravity"] if self.model.has_gravity else []
         names += self.springs.names() if self.springs is not None else []
         names += ["springs.motors"] if self.motors is not None else []

@@ -17,7 +17,7 @@ __all__ = ["Severable", "Severed", "Tearing"]
 
 
 class Severable(Protocol):
-    """What acts no more once a spring between two of its balls has torn."""
+    """Part whose rows no longer act once a spring between two of their balls has torn."""
 
     members: NDArray  # (r, k) balls of each row, negative: of none
     gone: Any  # field (r), 1: acts no more
@@ -25,7 +25,7 @@ class Severable(Protocol):
 
 @ti.data_oriented
 class Severed:
-    """Which rows of balls (r, k), negative for none, are gone."""
+    """Mask of the rows of balls (r, k), negative for none, that are gone."""
 
     def __init__(self, members: NDArray, fields: Fields) -> None:
         self.members, self.gone = members, fields.integers(len(members))
@@ -94,7 +94,7 @@ class Tearing:
             tie.set(torn > 0)
 
     def whole(self) -> NDArray[np.bool_]:
-        """Which of the springs, as they are stored, are not torn."""
+        """Mask of the springs, as they are stored, that are not torn."""
         return self.torn.to_numpy() == 0
 
     @property
@@ -111,14 +111,14 @@ class Tearing:
         self.tear_stored(np.where(number < 0, 0, torn[number]))
 
     def tear_stored(self, torn: NDArray[Any]) -> None:
-        """The same for springs as they are stored."""
+        """Take over which springs, as they are stored, are torn."""
         self._set(torn.astype(np.int32))
         self.keep()
 
 
 @ti.data_oriented
 class _Ties:
-    """Which rows of a part have both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
+    """Rows of a part that have both balls of a spring: for spring `place` those from first[key] to first[key + 1]."""
 
     def __init__(self, scene: Scene, springs: Springs, part: Severable, fields: Fields) -> None:
         self.part = part

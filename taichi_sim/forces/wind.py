@@ -18,12 +18,13 @@ SIDEWAYS_GUSTS = 0.5  # of the gusts, that blows across the wind
 
 @ti.data_oriented
 class Wind(Corners):
-    """On each triangle density / 2 (drag A |u_n| u_n + skin_friction A |u_t| u_t), u the air's velocity less the triangle's, a
-    third of it on each corner.
+    """Force of wind on each triangle: density / 2 (drag A |u_n| u_n + skin_friction A |u_t| u_t), u the air's velocity less the
+    triangle's, a third of it on each corner.
 
-    A coefficient c of u is never more than MOST_TAKEN / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball j:
-    with masses split so, a step can never reverse what it slows, however light the cloth. What resists the wind would
-    then feel less than it should: at the advised step, see element_rates, no coefficient is that large."""
+    A coefficient c of u is never more than MOST_TAKEN / (h D), D = sum over corners w_j t_j / 9 with t_j the triangles at ball
+    j: with masses split so, a step can never reverse what it slows, however light the cloth. What resists the wind would then
+    feel less than it should: at the advised step, see element_rates, no coefficient is that large.
+    """
 
     name = "wind"
     elastic = False

@@ -1,4 +1,4 @@
-"""What every integrator has."""
+"""Base of all integrators."""
 
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ __all__ = ["Integrator", "SolverStatistics"]
 
 
 class SolverStatistics(NamedTuple):
-    """How well an implicit method solved its stages since the simulation was made. `worst`: the largest part of the impulses of a
+    """Quality of an implicit method's solutions since the simulation was made. `worst`: the largest part of the impulses of a
     stage that was left over, or of the kinetic energy that this gave it; `misses`: stages where it was more than ten times the
     tolerance; `passes`: over all springs."""
 
@@ -118,7 +118,7 @@ class Integrator:
         """Declare fields of the method's own."""
 
     def solver_report(self) -> SolverStatistics | None:
-        """How well equations were solved, where a method solves some."""
+        """Statistics of how well equations were solved; None where a method solves none."""
         return None
 
     def counters(self) -> list[Any]:
@@ -130,7 +130,7 @@ class Integrator:
         return []
 
     def remembers(self) -> bool:
-        """Whether the memory holds what a step left, and not what `prime` made."""
+        """True if the memory holds what a step left, and not what `prime` made."""
         return True
 
     def recall(self) -> None:
@@ -149,8 +149,8 @@ class Integrator:
 
     @ti.func
     def load(self, i, h):
-        """What forces added to the velocity of ball i in this step [m/s], where `acceleration` does not tell it: speed into a
-        wall that is no impact."""
+        """Velocity [m/s] that forces added to ball i in this step, where `acceleration` does not tell it: speed into a wall
+        that is no impact."""
         return ti.Vector.zero(float, self.model.dim)
 
     @ti.func

@@ -37,7 +37,7 @@ def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
 
 @ti.data_oriented
 class Aggregates:
-    """Those of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms."""
+    """Aggregates of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms."""
 
     def __init__(self, model: Model, springs: Springs, spring_block: ti.StructField, fields: Fields) -> None:
         scene = model.scene
@@ -116,7 +116,7 @@ class Aggregates:
 
     @ti.func
     def solve(self, residual: ti.template()):
-        """What aggregates make of a residual (n); its scalar product with that is `product`."""
+        """Solve the coarse system of the aggregates for a residual (n); its scalar product with the solution is `product`."""
         size = ti.static(self.size)
         each_part(self.count, self._restrict, (residual,))
         ti.loop_config(serialize=True)
@@ -144,7 +144,7 @@ class Aggregates:
 
     @ti.func
     def product(self):
-        """Of the last residual and what aggregates made of it."""
+        """Scalar product of the last residual with the solution of the aggregates."""
         total = ti.cast(0.0, self.wide)
         for k in range(self.size):
             total += self.load[k] * self.answer[k]
@@ -152,7 +152,7 @@ class Aggregates:
 
     @ti.func
     def shift(self, i):
-        """What the aggregate of ball i makes of the last residual."""
+        """Solution of the last coarse system for the aggregate of ball i; 0 without one."""
         v = ti.Vector.zero(float, self.dim)
         c = self.aggregate[i]
         if c >= 0:

@@ -130,7 +130,7 @@ class DampedKick:
 
     @ti.func
     def lone_springs(self, half: ti.template(), h, pull: ti.template(), delayed: ti.template()):
-        """What damping takes from the kick that both balls of a lone spring have had, a of their relative velocity u:
+        """Take away what damping takes from the kick that both balls of a lone spring have had, a of their relative velocity u:
         u(tau) = exp(-z) u + (1 - exp(-z)) / z a is (1 - exp(-z)) u + (1 - (1 - exp(-z)) / z) a less than u + a."""
         for e in range(self.m):
             spring = self.lone[e]

@@ -102,7 +102,7 @@ class FreeBodies:
 
     @ti.func
     def mean(self, i):
-        """Of the body of ball i; 0 where that has a pin."""
+        """Velocity [m/s] of the centre of mass of ball i's body; 0 where that has a pin. See `find_means`."""
         v = ti.Vector.zero(float, self.dim)
         k = self.body_of_ball[i]
         if k >= 0:
@@ -132,7 +132,7 @@ class StageWork:
     @ti.func
     def find(self, base: ti.template(), residual: ti.template(), first: ti.template(), bodies: ti.template(),
              number: ti.template()):  # fmt: skip
-        """residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
+        """Residual (n) [kg m/s] of the velocities base.v, which were `first` (n) before the stage; bodies: FreeBodies, whose
         means are those of this stage: what the residual gives counts in the frame of each."""
         each_part(self.parts, self._find_part, (base, residual, first, bodies))
         ti.loop_config(serialize=True)

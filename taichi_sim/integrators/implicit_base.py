@@ -1,4 +1,4 @@
-"""What implicit methods share."""
+"""Base of the implicit methods."""
 
 from collections.abc import Callable
 from typing import Any
@@ -50,7 +50,7 @@ class Implicit(Integrator):
         self.launched = Launched(self.solver)
 
     def solver_report(self) -> SolverStatistics | None:
-        """From the numbers that the solver keeps; None without springs, where there is nothing to solve."""
+        """Statistics from the numbers that the solver keeps; None without springs, where there is nothing to solve."""
         if not self.has_springs:
             return None
         n = self.solver.number[0]
@@ -61,7 +61,7 @@ class Implicit(Integrator):
         return [self.solver.number] if self.has_springs else []
 
     def remembers(self) -> bool:
-        """Not before the first step."""
+        """True after the first step."""
         return bool(self.fresh[0] == 0)
 
     def parts(self) -> list[Part]:
@@ -88,7 +88,7 @@ class Implicit(Integrator):
         self.fresh[0] = 0
 
     def advance(self, h: float, time: float) -> None:
-        """The same from the host, with loops that run in parallel."""
+        """Advance by one step of h seconds from the host, with loops that run in parallel."""
         for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
             self._begin(stage, h, time)
             if self.has_springs:
@@ -100,7 +100,7 @@ class Implicit(Integrator):
 
     @ti.func
     def _free(self):
-        """Without springs."""
+        """Solve the stage without springs."""
         for i in range(self.model.n):
             self.solver.first[i] = self.solver.base[i].v
             self.solver.base[i].v = self.solver.q[i]

@@ -19,7 +19,7 @@ class ImplicitEuler(Implicit):
 
     @ti.func
     def begin(self, stage, h, time):
-        """From the present places; gravity, the user's forces and all elements but gas act on old values."""
+        """Begin from the present places; gravity, the user's forces and all elements but gas act on old values."""
         self.forces.external(self.ball, h, time)
         self.forces.flex(1.0)
         for i in range(self.model.n):
@@ -28,7 +28,7 @@ class ImplicitEuler(Implicit):
 
     @ti.func
     def end(self, stage, h):
-        """Nothing to keep."""
+        """End the stage: there is nothing to keep."""
 
     def finishing(self) -> list[Part]:
         """Contacts on the new velocity, then move."""
@@ -36,7 +36,7 @@ class ImplicitEuler(Implicit):
 
     @ti.func
     def before_move(self, i, h):
-        """To the velocity that the stage came to."""
+        """Kick ball i to the velocity that the stage came to."""
         self.state.kick(i, self.solver.base[i].v - self.ball[i].v)
 
     @ti.func

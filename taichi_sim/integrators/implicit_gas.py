@@ -110,7 +110,7 @@ class StageGas:
 
     @ti.func
     def _change(self, c, p: ti.template()):
-        """Of the volume of part c along p; from the gas's first ball, as volumes are."""
+        """Change of the volume of part c along p; from the gas's first ball, as volumes are."""
         part = self.gases.part[c]
         home = self.gases.law[part.gas].home
         x, q = self.here[home].x, padded_blocks.cut(p[home], 3)
@@ -154,7 +154,7 @@ class StageGas:
 
     @ti.func
     def _volume(self, c):
-        """Of part c, in double precision: what a step changes of a volume may be little."""
+        """Volume of part c, in double precision: what a step changes of a volume may be little."""
         part = self.gases.part[c]
         x = ti.cast(self.here[self.gases.law[part.gas].home].x, self.wide)
         total = ti.cast(0.0, self.wide)

@@ -88,13 +88,13 @@ class StageSolver(Verdicts):
 
     @ti.func
     def mass(self, i):
-        """Of ball i; 0 where it is pinned."""
+        """Mass of ball i [kg]; 0 where it is pinned."""
         w = self.model.inverse_mass[i]
         return ti.select(w > 0.0, 1.0 / ti.select(w > 0.0, w, 1.0), 0.0)
 
     @ti.func
     def _sum(self, column: ti.template()):
-        """Over all parts, joined before."""
+        """Sum of a column over all parts, joined before."""
         return total(column, self.parts)
 
     # Residual and matrix
@@ -134,7 +134,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def judge_guess(self, s, step):
-        """Where the guess is in doubt: add `step` of it, -1, if that lowers the potential; then go on from there."""
+        """Check a guess that is in doubt: add `step` of it, -1, if that lowers the potential; then go on from there."""
         self.compare(s, 1.0)
         withdrawn = 0.0 * step
         if self.in_phase(DOUBTFUL):
@@ -173,8 +173,8 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _inverse(self, i, w):
-        """Of the diagonal's block for ball i of inverse mass w; in double precision, or stiff springs in a line would make it
-        indefinite."""
+        """Inverse of the diagonal's block for ball i of inverse mass w; in double precision, or stiff springs in a line would
+        make it indefinite."""
         across = 1.0 / ti.cast(w, self.wide)
         along = ti.Matrix.zero(self.wide, self.dim, self.dim)
         for k in range(self.start[i], self.start[i + 1]):
@@ -192,7 +192,8 @@ class StageSolver(Verdicts):
 
     @ti.func
     def evaluate(self, s, step):
-        """The same with blocks and aggregates as they were: they condition well enough, and the residual keeps its measure."""
+        """Add `step` of the change to the velocities and recompute the residual only. Blocks and aggregates stay as they were:
+        they condition well enough, and the residual keeps its measure."""
         self._move(s, step, ti.static(self.gated))
         each_part(self.parts, self._measure_residual, ())
         join((self.part.residual,), self.parts)
@@ -205,7 +206,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def take_back(self, s, step):
-        """Where the change raised the potential: add `step` of it, a negative part, and evaluate that."""
+        """Add `step` of the change, a negative part, if the change raised the potential, and evaluate that."""
         self.evaluate(s, ti.select(self.raised() == 1, step, 0.0 * step))
 
     @ti.func
@@ -249,7 +250,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _potential(self, i, s, part):
-        """Of ball i and the springs that list it first, with `part` of the change taken back."""
+        """Potential of ball i and the springs that list it first, with `part` of the change taken back."""
         v = self.base[i].v - part * self.dv[i]
         x = self.base[i].x + s * v
         phi = 0.5 * self.mass(i) * (self.q[i] - v).norm_sqr()

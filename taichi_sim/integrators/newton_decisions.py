@@ -106,7 +106,7 @@ class Verdicts:
 
     @ti.func
     def in_phase(self, phase):
-        """Whether what belongs to a phase is to run."""
+        """True if what belongs to a phase is to run."""
         yes = True
         if ti.static(self.gated):
             yes = self.number[0].phase == phase
@@ -154,19 +154,19 @@ class Verdicts:
 
     @ti.func
     def doubtful(self):
-        """Whether the guess leaves so much that none may be better."""
+        """1 if the guess leaves so much that none may be better, else 0."""
         return ti.cast(self.number[0].residual > DOUBTFUL_GUESS**2 * self.number[0].scale, ti.i32)
 
     @ti.func
     def raised(self):
-        """Whether the change raised the potential."""
+        """1 if the change raised the potential, else 0."""
         return ti.cast(self.number[0].raised > 0.0, ti.i32)
 
     @ti.func
     def unsolved(self):
-        """Whether another iteration is due: the first is, for a small residual may hide a slow mode. Then not where the residual
-        is small, nor where the last change was, unless it gives energy; nor where the residual may be rounding and changes do not
-        shrink any more."""
+        """1 if another iteration is due, else 0: the first is, for a small residual may hide a slow mode. Then not where the
+        residual is small, nor where the last change was, unless it gives energy; nor where the residual may be rounding and
+        changes do not shrink any more."""
         residual, moved = self.number[0].residual, self.number[0].moved
         iterations = self.number[0].iterations
         least = ti.min(residual, moved)
@@ -182,7 +182,7 @@ class Verdicts:
 
     @ti.func
     def add_gain(self, gain):
-        """Of an iteration of conjugate gradients; where these converge slowly, with that of the last few."""
+        """Add the gain of an iteration of conjugate gradients; where these converge slowly, to that of the last few."""
         kept = ti.cast(0.0, self.wide)
         if ti.static(self.slow):
             kept = ti.max(0.0, 1.0 - 1.0 / ti.max(1.0, GAIN_WINDOW * (self.number[0].searches + 1.0)))
@@ -190,7 +190,8 @@ class Verdicts:
 
     @ti.func
     def searching(self):
-        """Whether to search on: by what the last iteration gained, which sees the slow modes that the residual hides.
+        """1 if the search is to go on, else 0: by what the last iteration gained, which sees the slow modes that the residual
+        hides.
 
         What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952). Without
         aggregates many small ones come, so that the last few are taken, see `add_gain`.
@@ -202,7 +203,7 @@ class Verdicts:
 
     @ti.func
     def set_target(self):
-        """How small the residual has to become, once it is known how far the change of the step before fits this one.
+        """Set how small the residual has to become, once it is known how far the change of the step before fits this one.
 
         What is left then is the acceleration's change, of order h, so that this part of its `order`-th power is a part of the
         local error of the method; where a step does not resolve the motion, the tolerance it is.
@@ -215,9 +216,9 @@ class Verdicts:
 
     @ti.func
     def larger(self):
-        """Whether the change may have gone too far, so that half of it is worth a try: it raised the residual. It did where it
-        raised the potential too. One of them alone may rise: the potential by damping, whose direction rotates, the residual
-        where a stiff body rotates."""
+        """1 if the change may have gone too far, so that half of it is worth a try, else 0: it raised the residual. It did
+        where it raised the potential too. One of them alone may rise: the potential by damping, whose direction rotates, the
+        residual where a stiff body rotates."""
         larger = self.number[0].residual > self.number[0].residual_before
         return ti.cast(larger and self.number[0].tries < MOST_TRIES, ti.i32)
 

@@ -1,4 +1,4 @@
-"""What an implicit stage sums over springs, see kernels.springs.edge_blocks: its residual, and its matrix times a vector."""
+"""Sums of an implicit stage over springs, see kernels.springs.edge_blocks: its residual, and its matrix times a vector."""
 
 from typing import Any
 

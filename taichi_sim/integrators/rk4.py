@@ -64,7 +64,7 @@ class RK4(Integrator):
 
     @ti.func
     def before_move(self, i, h):
-        """To the mean velocity of the step, with which it moves; the rest of the kick is kept for later."""
+        """Kick ball i to the mean velocity of the step, with which it moves; the rest of the kick is kept for later."""
         kick = self.sum[i].x / h - self.ball[i].v
         self.stage[i].v = self.sum[i].v - kick
         self.state.kick(i, kick)

@@ -47,7 +47,7 @@ class TRBDF2(Implicit):
             self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
 
     def memory(self) -> list[Any]:
-        """What springs did at the end of the step before."""
+        """Field of what springs did at the end of the step before."""
         return [self.slope]
 
     def recall(self) -> None:
@@ -91,7 +91,7 @@ class TRBDF2(Implicit):
                 self.slope[i] = (self.solver.base[i].v - self.solver.q[i]) / (self.part * h)
 
     def finishing(self) -> list[Part]:
-        """To the mean velocity of the step, contacts, the move, the rest of the change, contacts."""
+        """Parts that end a step: the kick to its mean velocity, contacts, the move, the rest of the change, contacts."""
         last = [Part(self, "_renew", STEP)] if self.driven else []
         return [*self.moving(), Part(self, "_kick_by_rest", STEP), Part(self, "_hold", STEP), *last]
 
@@ -106,7 +106,7 @@ class TRBDF2(Implicit):
 
     @ti.func
     def before_move(self, i, h):
-        """To the mean velocity of the step."""
+        """Kick ball i to the mean velocity of the step."""
         v, middle, after = self.ball[i].v, self.solver.first[i], self.solver.base[i].v
         mean = (MIDDLE * self.part) * (v + middle) + self.part * after
         self.pull[i] = (after - v) / h

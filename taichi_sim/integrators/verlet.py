@@ -48,7 +48,7 @@ class Verlet(Integrator):
         self.implicit_damping = not self.predicts
 
     def damping(self, model: Model, h: float) -> NDArray:
-        """Of networks, as far as stages are stable with it; that of lone springs acts by itself."""
+        """Damping of networks, as far as stages are stable with it; that of lone springs acts by itself."""
         return DampedKick.damping(model.scene, h) if self.implicit_damping else model.scene.damping
 
     def allocate(self, fields: Fields) -> None:
@@ -76,8 +76,8 @@ class Verlet(Integrator):
             self.kick.fit(h)
 
     def memory(self) -> list[Any]:
-        """What acted at the end of the step before: at the velocities that balls had then, not those they came to; and how strong
-        damping braked them."""
+        """Fields of what acted at the end of the step before: at the velocities that balls had then, not those they came to;
+        and how strong damping braked them."""
         own = [self.pull] if self.predicts or self.delayed else []
         return [*own, self.kick.brake] if self.network else own
 
@@ -130,7 +130,7 @@ class Verlet(Integrator):
             self.kick.stage(1, j, h, self.pull, False)
 
     def advance(self, h: float, time: float) -> None:
-        """The same from the host, where the number of stages is not known when loops are compiled."""
+        """Advance by one step of h seconds from the host, where the number of stages is not known when loops are compiled."""
         before, after = (int(count) for count in self.kick.counts)
         self._launch_open(h)
         for j in range(1, before):
@@ -167,7 +167,7 @@ class Verlet(Integrator):
 
     @ti.func
     def acceleration(self, i, h):
-        """By the forces at the start of the step."""
+        """Acceleration of ball i [m/s^2] by the forces at the start of the step."""
         if ti.static(self.predicts):
             return self.pull[i]
         else:
@@ -187,7 +187,7 @@ class Verlet(Integrator):
 
     @ti.func
     def _drift(self, role: ti.template(), h, time):
-        """With the whole kick of old forces, half of it before the drift, where nothing is in the way."""
+        """Drift with the whole kick of old forces, half of it before the drift, where nothing is in the way."""
         for i in range(self.model.n):
             change = h * self.pull[i]
             self.state.shift(i, h * (self.ball[i].v + 0.5 * change))

@@ -150,7 +150,7 @@ class XPBD(Integrator):
 
     @ti.func
     def load(self, i, h):
-        """What springs and other forces changed."""
+        """Velocity [m/s] that springs and other forces changed of ball i in this step."""
         change = ti.Vector.zero(float, self.dim)
         if ti.static(self.notes_load):
             change = self.contacts.velocity_before[i] - self.start[i]

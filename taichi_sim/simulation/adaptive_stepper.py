@@ -56,10 +56,10 @@ ROUNDINGS = 4.0  # units of rounding that a window, or a substep, may add by its
 
 
 class ErrorEstimate(NamedTuple):
-    """What error control found. `tolerance`: asked, parts of `size` [m] a simulated second; `estimate`: the largest error of a
+    """Result of error control. `tolerance`: asked, parts of `size` [m] a simulated second; `estimate`: the largest error of a
     ball so far, in parts of `size`; `lost`: since when the tolerance is not kept [s], or None; `unsure`: since when so many
-    contacts act at once that the estimate is no promise [s], or None; `least`, `most`: substeps of a step; `repeated`: how often
-    the run went back to repeat its steps with more of them."""
+    contacts act at once that the estimate is no promise [s], or None; `least`, `most`: substeps of a step; `repeated`: how
+    often the run went back to repeat its steps with more of them."""
 
     tolerance: float
     size: float
@@ -131,7 +131,7 @@ class AdaptiveStepper(Stepper):
         self._mark: tuple[Any, ...] = ()
 
     def report(self) -> ErrorEstimate:
-        """What was asked and what was found."""
+        """Tolerance that was asked for, and the error that was found."""
         unit = self.size
         return ErrorEstimate(
             self.share / (unit * self.dt),
@@ -147,7 +147,7 @@ class AdaptiveStepper(Stepper):
     # One step --------------------------------------------------------------------------------------------------------
 
     def prime(self) -> None:
-        """Where positions were set from outside, both begin there."""
+        """Start both solutions at the present positions, if these were set from outside."""
         if not self.primed:
             super().prime()
             self._second.store(FINE)
@@ -164,7 +164,7 @@ class AdaptiveStepper(Stepper):
         self.lost = self.unsure = None
 
     def _begin(self) -> None:
-        """Here is where both go back to."""
+        """Store the present state of both solutions as the one to go back to."""
         self._second.copy(START, FINE)
         self._second.copy(BEGUN, COARSE)
         self.began = self.remembers
@@ -203,7 +203,7 @@ class AdaptiveStepper(Stepper):
         return self.share * max(self.taken + 1, HEAD / self.dt)
 
     def _lose(self, sample: Any, error: float) -> bool:
-        """Whether nothing can be done about this error."""
+        """Warn that the tolerance is lost, if nothing can be done about this error. Returns True if so."""
         before = max(self.past, self._mark[2])
         if self.many < self.ceiling and (before < AIM * self._allowed() or not np.isfinite(error)):
             return False
@@ -257,7 +257,7 @@ class AdaptiveStepper(Stepper):
         return self.parts.moments
 
     def _from(self, moment: int, time: float, many: int, h: float) -> None:
-        """From a stored moment at `time`, in so many substeps of h seconds; anew where contacts did not fit."""
+        """Run from a stored moment at `time`, in `many` substeps of h seconds; anew where contacts did not fit."""
         needed: Any = True
         while needed is not None:
             self._at(moment, time, h)
@@ -318,8 +318,8 @@ class AdaptiveStepper(Stepper):
             )
 
     def _may_have_met(self, which: NDArray[np.bool_]) -> bool:
-        """Whether any of these balls was as near to a wall or a collider in this step as it moves in one: what bounces in between
-        leaves no contact at the end."""
+        """True if any of these balls was as near to a wall or a collider in this step as it moves in one: what bounces in
+        between leaves no contact at the end."""
         scene, state = self.scene, self.parts.state
         x, speed = state.position[which], np.linalg.norm(state.velocity[which], axis=1)
         reach = scene.radius[which] + (speed + self.dt * float(np.linalg.norm(scene.gravity))) * self.dt
@@ -344,7 +344,7 @@ class AdaptiveStepper(Stepper):
         self.prime()
 
     def snapshot(self) -> Snapshot:
-        """Where both solutions are, and where they began."""
+        """Snapshot of both solutions, with where they began."""
         snapshot = super().snapshot()
         noted = {"noted": [*self._mark[:-1], list(self._mark[-1])]} if self._mark else {}
         return replace(snapshot, stepping={**snapshot.stepping, **noted})

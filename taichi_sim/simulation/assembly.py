@@ -133,7 +133,7 @@ class Assembly:
             raise
 
     def _compiled(self) -> dict[str, Any]:
-        """What kernels may read."""
+        """Parts that kernels may read, by name."""
         return {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}
 
     def _share_with(self, on: "Assembly") -> None:
@@ -145,7 +145,8 @@ class Assembly:
             raise OtherStructureError(*(self._decided(on) or differs or ()))
 
     def _decided(self, on: "Assembly") -> tuple[str, ...]:
-        """What the plan of contacts, or the integrator, has decided otherwise than that of `on`."""
+        """First decision of the plan of contacts, or of the integrator, that differs from that of `on`: its name, the value of
+        `on` and the value here; () if none does."""
         plan = getattr(self, "plan", on.plan)  # not there yet where something before it differs
         for then, now in zip(on.plan.reasons, plan.reasons):
             if then != now:
@@ -278,7 +279,7 @@ class Assembly:
 
     @property
     def keeps_kernels(self) -> str:
-        """Why others of the same structure cannot use the same kernels; "" where they can."""
+        """Reason why others of the same structure cannot use the same kernels; "" where they can."""
         if self._shared.known_by:
             return ""
         if not IS_KNOWN:
@@ -287,7 +288,7 @@ class Assembly:
 
     @property
     def setup(self) -> Setup:
-        """How the scene is run, for what can be said of its accuracy."""
+        """Settings of the run that its accuracy depends on."""
         scene, settings, backend, _, _ = self.arguments
         contacts = self.contacts
         give = contact_law.SOFT_LEAK / (contact_law.SOFT_MASS * contact_law.SOFT_PUSH) if self.plan.soft else 0.0
@@ -303,7 +304,7 @@ class Assembly:
         return None if self.tearing is None else self.tearing.springs_torn
 
     def names(self) -> list[str]:
-        """What was compiled in."""
+        """Names of the parts that were compiled in."""
         driver = "driver.fused" if self.fused else "driver.parallel"
         return [driver, f"integrator.{self.integrator.method}", *self.forces.names(), *self.contacts.names()]
 
@@ -427,7 +428,7 @@ class Assembly:
                 raise ValueError(f"counter.{k} does not fit")
 
     def put_back(self, stored: Mapping[str, NDArray], h: list[float]) -> None:
-        """What `stored` gave, checked; a moment has to be loaded then."""
+        """Restore what `stored` gave, checked; a moment has to be loaded then."""
         self.moments.write(stored, h)
         if self.tearing is not None:
             self.tearing.tear_stored(stored["torn"])
@@ -438,7 +439,7 @@ class Assembly:
             field.from_numpy({name: stored[f"counter.{k}.{name}"] for name in field.keys})
 
     def searches(self) -> int:
-        """How often neighbours were looked for."""
+        """Number of searches for neighbours so far."""
         pairs = self.contacts.pairs
         return 0 if pairs is None else int(pairs.grid.searches[0])
 
@@ -453,9 +454,9 @@ class Assembly:
         return self.capacity._replace(**found) if found else None
 
     def with_capacity(self, needed: ContactCapacity) -> "Assembly":
-        """The same parts, compiled anew, with lists for what is needed and half as much again, see `with_room`. Raises
-        SceneError, and changes nothing, where that takes more than MEMORY_SHARE of the free memory, or more entries than numbers
-        of 32 bits count."""
+        """Return a copy, compiled anew, with lists for what is needed and half as much again, see `with_room`. Raises
+        SceneError, and changes nothing, where that takes more than MEMORY_SHARE of the free memory, or more entries than
+        numbers of 32 bits count."""
         enough = {}
         for name in ContactCapacity._fields:
             part, entries = getattr(self.contacts, name), getattr(needed, name)
@@ -474,8 +475,9 @@ class Assembly:
         return self.with_room(ContactCapacity(**enough))
 
     def with_room(self, capacity: ContactCapacity) -> "Assembly":
-        """The same parts with lists of so many entries, or what they have at least. This one is freed. What is stored in moments,
-        positions, velocities and spin go over; what contacts hold at present does not: a moment has to be loaded."""
+        """Return a copy with contact lists of at least so many entries, and free this one. What is stored in moments,
+        positions, velocities and spin are copied; what contacts hold at present is not: a moment has to be loaded before a
+        step."""
         snapshot, stored, h = self.snapshot(), self.moments.arrays(), self.moments.h
         self.free()
         larger = Assembly(*self.arguments, capacity=capacity)
@@ -488,7 +490,7 @@ class Assembly:
 
     @property
     def order_of_sums(self) -> str:
-        """In what order impulses are added: runs that differ in it differ in the last digits."""
+        """Order in which impulses are added: runs that differ in it differ in the last digits."""
         contacts = "atomic" if self.plan.atomic else "gather" if self.plan.gathers else "blocks"
         springs = self.forces.springs
         return contacts if springs is None else f"{contacts} {springs.order}"
@@ -500,7 +502,7 @@ class Assembly:
         return ContactCapacity(*(0 if part is None else part.capacity for part in parts))
 
     def _endless(self) -> str:
-        """What to say where counting itself would take too long."""
+        """Message for a scene where counting itself would take too long."""
         pairs = self.contacts.pairs
         assert pairs is not None
         width = pairs.grid.widest
@@ -526,13 +528,13 @@ def _is_small(scene: Scene) -> bool:
 
 
 def compensates(scene: Scene, backend: Backend) -> bool:
-    """Whether sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
+    """True if sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
     speed."""
     return _is_small(scene) and _rounds(scene, backend)
 
 
 def _rounds(scene: Scene, backend: Backend) -> bool:
-    """Whether sums of many small steps lose digits that show: in single precision, or far from the origin."""
+    """True if sums of many small steps lose digits that show: in single precision, or far from the origin."""
     if backend.precision == "f32" or not scene.n_balls:
         return backend.precision == "f32"
     return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINEST_ROUNDING * float(
@@ -541,8 +543,9 @@ def _rounds(scene: Scene, backend: Backend) -> bool:
 
 
 def turning(scene: Scene, settings: Settings, forces: Sequence[Any] = ()) -> NDArray[np.bool_]:
-    """Which balls turn (n): "auto" where Coulomb friction can make them the loose ones. Those of cloth and jelly, which springs,
-    cells and the like, user-defined elements too, join at their centres, would only roll under it like casters."""
+    """Mask (n,) of the balls that turn: "auto" selects loose ones where Coulomb friction can make them turn. Those of cloth and
+    jelly, which springs, cells and the like, user-defined elements too, join at their centres, would only roll under it like
+    casters."""
     if settings.contacts == "off" or settings.spin is False:
         return np.zeros(scene.n_balls, dtype=bool)
     if settings.spin is True:

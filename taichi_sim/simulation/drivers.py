@@ -58,7 +58,7 @@ class Drivers:
 
     @ti.kernel
     def fused(self, role: int, first: int, steps: int, h: float, time: float):
-        """`steps` substeps from number `first` on, the same; or, in the role PRIME, what makes the state before them."""
+        """Run `steps` substeps from number `first` on; or, in the role PRIME, what makes the state before them."""
         ti.loop_config(serialize=True)
         for k in range(first, first + steps):
             self.chain.run(role, h, time + k * h)

@@ -70,7 +70,7 @@ class EnergyMonitor:
         self.last: Any = None  # sample
 
     def begin(self, sample: Any) -> None:
-        """Go on from here."""
+        """Begin to watch from the state of `sample`."""
         self.least, self.most, self.last = sample.total, sample.motion, sample
 
     def judge(self, sample: Any) -> Growth | None:

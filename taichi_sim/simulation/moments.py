@@ -75,7 +75,7 @@ class Moments:
 
     @ti.func
     def _entries(self, k: ti.template(), tables: ti.template(), moment):
-        """How much of field k is in use: lists have far more room than they need."""
+        """Number of entries of field k in use: lists have far more room than they need."""
         entries = 0 * moment + ti.static(self.sizes[k])
         if ti.static(k in self.lists):
             entries = ti.min(entries, ti.static(self.lists[k][1]) + tables[ti.static(self.lists[k][0])][moment])
@@ -83,7 +83,7 @@ class Moments:
 
     @ti.kernel
     def _store(self, into: int):
-        """The present fields into a moment."""
+        """Copy the present fields into a moment."""
         for k in ti.static(range(self.count)):
             ti.loop_config(serialize=self.serial)
             for i in range(self.n):
@@ -95,7 +95,7 @@ class Moments:
 
     @ti.kernel
     def _load(self, out: int, ratio: float):
-        """The reverse, for a step `ratio` times as long: what rests holds as much more."""
+        """Copy a moment into the present fields, for a step `ratio` times as long: what rests holds as much more."""
         for k in ti.static(range(self.count)):
             ti.loop_config(serialize=self.serial)
             for i in range(self.n):
@@ -150,7 +150,7 @@ class Moments:
         self.h[into] = self.h[out]
 
     def remember(self, out: int) -> None:
-        """Only a method's own memory, from a moment."""
+        """Load only a method's own memory, from a moment."""
         self._remember(out)
 
     # To a file and back ----------------------------------------------------------------------------------------------
@@ -172,7 +172,7 @@ class Moments:
         return found
 
     def prepared(self, arrays: Mapping[str, NDArray], h: list[float]) -> list[tuple[Any, Any]]:
-        """What `arrays` gave, for each field of those stored here. Raises ValueError where it does not fit."""
+        """Values of `arrays` for each field of those stored here: (field, values). Raises ValueError where they do not fit."""
         if len(h) != len(self.h) or not all(one >= 0.0 for one in h) or not h[KEPT] > 0.0:
             raise ValueError(f"{h} are no lengths of steps")
         found = [(field, unnamed(f"ball.{k}", field.to_numpy(), arrays)) for k, field in enumerate(self.stored)]
@@ -212,8 +212,8 @@ def named(name: str, values: Any, rows: Any = slice(None)) -> dict[str, NDArray]
 
 
 def unnamed(name: str, present: Any, arrays: Mapping[str, NDArray], moments: int = 0) -> Any:
-    """What `named` gave, in the shape of the values that are present. Lists of several moments lie one behind the other, each
-    with as much room behind it as there is now; moments = 0: no list."""
+    """Inverse of `named`: the values of `arrays`, in the shape of the values that are present. Lists of several moments lie one
+    behind the other, each with as much room behind it as there is now; moments = 0: no list."""
     if isinstance(present, Mapping):
         return {member: unnamed(f"{name}.{member}", column, arrays, moments) for member, column in present.items()}
     given = arrays.get(name)

@@ -38,7 +38,7 @@ class Settled(NamedTuple):
 
     @classmethod
     def of(cls, plain: Sequence[Any] | None) -> "Settled | None":
-        """What a list of the five values says, as files hold it; None of None. Raises SceneError for anything else."""
+        """Settled from a list of the five values, as files hold it; None of None. Raises SceneError for anything else."""
         kinds = (float, float, float, int, bool)
         if plain is None:
             return None

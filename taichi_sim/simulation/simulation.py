@@ -155,8 +155,8 @@ class Simulation(Reader):
 
     @property
     def parts(self) -> Assembly:
-        """What was put together for this scene: model, state, forces, contacts, plan, integrator. To look inside, as tests do: it
-        may differ in the next version. `print(sim.parts.plan)` says what contacts it has, and why."""
+        """Model, state, forces, contacts, plan and integrator that were put together for this scene. To look inside, as tests
+        do: it may differ in the next version. `print(sim.parts.plan)` says what contacts it has, and why."""
         backend.check_thread()
         if (
             self._closed or not self._stepper.parts.fields.built
@@ -307,7 +307,7 @@ class Simulation(Reader):
         return self.contacts().penetration
 
     def crossings(self) -> int:
-        """How often an edge of the triangles pierces one of them, all that have not torn taken together; 0 in 2D. In NumPy."""
+        """Number of times that an edge of the triangles pierces one of them, of all that have not torn; 0 in 2D. In NumPy."""
         return len(crossings(self.position, self.frame().triangles)) if self.scene.dim == 3 else 0
 
     def frame(self) -> Frame:
@@ -324,19 +324,20 @@ class Simulation(Reader):
         return diagnostics.inverted(self.scene, self.position)
 
     def error(self) -> ErrorEstimate | None:
-        """What the control of the error found so far; None without `tolerance`."""
+        """Error that its control found so far; None without `tolerance`."""
         return self._stepper.report() if isinstance(self._stepper, AdaptiveStepper) else None
 
     def decisions(self) -> list[str]:
-        """What was decided on the way, each with the time from which on it holds: shorter substeps, more room for contacts."""
+        """Decisions made during the run, each with the time from which on it holds: shorter substeps, more room for
+        contacts."""
         return list(self._stepper.decisions)
 
     def scales(self) -> Scales:
-        """What a run is judged by."""
+        """Scales by which a run is judged."""
         return self._stepper.scales()
 
     def solver(self) -> SolverStatistics | None:
-        """How well an implicit method solved its stages so far; None for methods that solve nothing."""
+        """Statistics of how well an implicit method solved its stages so far; None for methods that solve nothing."""
         return self.parts.integrator.solver_report() if self._state is not None else None
 
     def stability(self) -> Stability:
@@ -347,7 +348,7 @@ class Simulation(Reader):
 
     @property
     def setup(self) -> Setup:
-        """How the scene is run, as `taichi_sim.analysis.accuracy.findings` wants it."""
+        """Settings of the run, as `taichi_sim.analysis.accuracy.findings` wants them."""
         return self.parts.setup
 
     def kernels(self) -> list[str]:
@@ -436,7 +437,7 @@ class Simulation(Reader):
         return replace(found, stepping={**found.stepping, "readings": self.readings.memory()})
 
     def resume(self, snapshot: Snapshot) -> None:
-        """Go on from a snapshot of this scene. Raises SceneError for what does not fit."""
+        """Continue from a snapshot of this scene. Raises SceneError for what does not fit."""
         if not isinstance(snapshot, Snapshot):
             raise SceneError("snapshot", snapshot, "a ts.Snapshot")
         assert self.parts is not None  # not closed
@@ -466,7 +467,7 @@ class Simulation(Reader):
 
     @property
     def closed(self) -> bool:
-        """Whether it cannot be used any more."""
+        """True if it cannot be used any more."""
         return self._closed or not self._stepper.parts.fields.built
 
     def close(self) -> None:
@@ -476,7 +477,7 @@ class Simulation(Reader):
         self._closed = True
 
     def _about(self) -> dict[str, Any]:
-        """What runs, in words by their names."""
+        """Description of what runs, in words by their names."""
         step = f"{self.dt:g} s" + (f" in {self.substeps} substeps" if self.substeps > 1 else "")
         contacts = self.parts.contacts
         rule = f"{contacts.name}, {contacts.iterations} iterations" if contacts.active else "off"
@@ -496,7 +497,7 @@ class Simulation(Reader):
         return f"<Simulation of a {in_words(self.scene)}; {', '.join(f'{k} {v}' for k, v in self._about().items())}>"
 
     def _repr_html_(self) -> str:
-        """For notebooks: a picture of the present moment, and what runs."""
+        """Picture of the present moment and a description of what runs, for notebooks."""
         if self.closed:
             return as_html("Simulation, closed", parts_of(self.scene))
         seen = BytesIO()

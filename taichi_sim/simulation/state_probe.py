@@ -31,7 +31,7 @@ class StateSample(NamedTuple):
 
     @property
     def total(self) -> float:
-        """What friction, damping and contacts may only lessen [J]."""
+        """Energy that friction, damping and contacts may only lessen [J]."""
         return self.kinetic + self.elastic + self.gravity
 
     @property

@@ -73,9 +73,9 @@ class SecondSolution(Moments):
         return float(np.sqrt(square)) if square < WORLD_RADIUS else np.inf
 
     def arrays(self) -> dict[str, NDArray]:
-        """With where the second solution was shown."""
+        """Arrays of the moments, with where the second solution was shown."""
         return super().arrays() | named("seen", self.seen.to_numpy())
 
     def prepared(self, arrays: Mapping[str, NDArray], h: list[float]) -> list[tuple[Any, Any]]:
-        """The same."""
+        """Values of `arrays` for each field, with where the second solution was shown: (field, values)."""
         return [*super().prepared(arrays, h), (self.seen, unnamed("seen", self.seen.to_numpy(), arrays))]

@@ -110,7 +110,7 @@ class Stepper:
         return self.begin + self.steps * self.dt
 
     def set_time(self, time: float) -> None:
-        """Go on from `time` [s]: a number of steps, or, saved with another step, whatever it is."""
+        """Continue from `time` [s]: a number of steps, or, saved with another step, whatever it is."""
         self.steps, self.begin = round(time / self.dt), 0.0
         if abs(self.time - time) > 1e-9 * time:
             self.steps, self.begin = 0, time
@@ -190,7 +190,7 @@ class Stepper:
         self._begun = True
 
     def _make_room(self, needed: ContactCapacity) -> None:
-        """To what is kept, with room for what is needed. Raises SceneError where there is none."""
+        """Go back to what is kept, with room for what is needed. Raises SceneError where there is none."""
         self._back()
         self.parts = self.parts.with_capacity(needed)
         self.parts.moments.load(KEPT, self.h)
@@ -199,14 +199,14 @@ class Stepper:
             self.decisions.append(said)
 
     def _back(self) -> None:
-        """To what is kept."""
+        """Go back to what is kept."""
         self.parts.state.restore()
         self.parts.moments.load(KEPT, self.h)
         self.steps, self._begun, self._halfway = self.mark, False, False
 
     def _run(self, target: int) -> StateSample:
-        """Up to a number of steps. Where contacts did not fit, from what is kept again with more room, to the same bits as if it
-        had been there from the beginning."""
+        """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
+        as if it had been there from the beginning."""
         if self._halfway:  # interrupted, perhaps in the midst of a step
             self._back()
         self._start()
@@ -225,7 +225,7 @@ class Stepper:
         self.steps, self._halfway = target, False
 
     def _go_on(self, target: int) -> None:
-        """Up to a number of steps, the end of the chunk at most, and a look at the result."""
+        """Run up to a number of steps, the end of the chunk at most, and look at the result."""
         first = self.steps
         sample = self._run(target)
         if sample.bad is not None:
@@ -246,7 +246,7 @@ class Stepper:
         self._check((target - first) * self.substeps)
 
     def _check(self, substeps: int) -> None:
-        """What is looked at after so many substeps; it changes nothing."""
+        """Check the run after so many substeps; it changes nothing."""
         self._check_solver()
         if (
             self.strays
@@ -273,7 +273,7 @@ class Stepper:
         return totals
 
     def scales(self) -> Scales:
-        """What the run is judged by."""
+        """Scales by which the run is judged."""
         scene, monitor = self.scene, self.monitor
         part = self.h / self.safe.dt_any_shape if self.safe.dt_any_shape > 0 else 0.0
         touches = self.parts.contacts.active
@@ -424,7 +424,7 @@ class Stepper:
         self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
 
     def _works(self, growth: Growth) -> bool:
-        """Whether the chunk so far comes to the same energy with half of the substep; then as it was."""
+        """True if the chunk so far comes to the same energy with half of the substep. Afterwards all is as it was."""
         before, now = self.substeps, self.steps
         self._divide(2 * before)
         sample = self._run(now)
@@ -433,7 +433,7 @@ class Stepper:
         return sample.bad is None and growth.after / SAME_ENERGY < sample.motion < growth.after * SAME_ENERGY
 
     def _check_solver(self) -> None:
-        """Whether an implicit method has left a stage unsolved."""
+        """Warn if an implicit method has left a stage unsolved."""
         if not self.solves or "solver" in self._warned:
             return
         found = self.parts.integrator.solver_report()
@@ -446,7 +446,7 @@ class Stepper:
             )
 
     def _check_bound(self) -> None:
-        """Whether the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
+        """Warn if the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
         if self._warned & {"bound", "growth"}:
             return
         limit, spring = self._present()
@@ -497,13 +497,13 @@ class Stepper:
             self._keep(goes_on=False)
 
     def _kind(self) -> str:
-        """What a run depends on besides the scene and what is kept: none with other settings has the same bits."""
+        """Settings that a run depends on besides the scene and what is kept: none with other settings has the same bits."""
         parts = self.parts
         own = (type(self).__name__, self.method, self.dt, parts.backend.precision, parts.contacts.name)
         return " ".join(map(str, (*own, parts.contacts.iterations, parts.order_of_sums)))
 
     def resume(self, snapshot: Snapshot) -> None:
-        """Go on from there. Raises SceneError, and changes nothing, for what does not fit."""
+        """Continue from a snapshot. Raises SceneError, and changes nothing, for what does not fit."""
         if not self.scene.n_balls or snapshot.stepping.get("of") != self._kind():
             self._begin_at(snapshot)
             return
@@ -563,7 +563,8 @@ class Stepper:
             self.monitor.least, self.monitor.most, self.monitor.last = monitored
 
     def _reaches(self, snapshot: Snapshot) -> bool:
-        """Go on from what was kept. Returns whether that leads to where the snapshot is: on the same kind of machine it does."""
+        """Run on from what was kept. Returns True if that leads to where the snapshot is: on the same kind of machine it
+        does."""
         steps = self.steps
         self._back()
         if self.primed:
@@ -573,7 +574,7 @@ class Stepper:
 
 
 def _monitored(given: Any) -> tuple[float, float, StateSample] | None:
-    """What an energy monitor goes on from, of a snapshot's plain values."""
+    """Values from which an energy monitor goes on, of a snapshot's plain values."""
     if given is None:
         return None
     least, most, (bad, *numbers) = given
