@@ -1,4 +1,4 @@
-"""What of a frame is drawn: which balls as spheres or discs, which springs as rods, which surfaces, and in which colour."""
+"""Choice of what is drawn of a frame: balls as spheres or discs, springs as rods, surfaces, and their colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,7 +105,7 @@ class Content:
         )
 
     def matches(self, frame: Frame) -> bool:
-        """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
+        """True if a frame has what this was made from; frames of one simulation share the very arrays."""
         if self.colliders != _colliders(frame) or self.embedded_surfaces != frame.embedded_surfaces:
             return False
         if self.objects != frame.objects:

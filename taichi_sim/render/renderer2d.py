@@ -252,7 +252,7 @@ class Renderer2D:
 
 
 class Canvas:
-    """What the kernel reads and writes: fields of shapes, walls and bodies, at least one of each, and the picture."""
+    """Fields that the kernel reads and writes: shapes, walls and bodies, at least one of each, and the picture."""
 
     def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())

@@ -87,12 +87,12 @@ class Styles(NamedTuple):
 
     @property
     def are_patterned(self) -> bool:
-        """Whether any row has a pattern."""
+        """True if any row has a pattern."""
         return len(self.place) > 0
 
     @property
     def are_see_through(self) -> bool:
-        """Whether any row hides but a part of what is behind."""
+        """True if any row hides but a part of what is behind."""
         return bool(np.any(self.rows[:, 2] < 1))
 
 

@@ -1,4 +1,4 @@
-"""Which shapes touch which tile of a picture."""
+"""Lists of the shapes that touch each tile of a picture."""
 
 import numpy as np
 from numpy.typing import NDArray

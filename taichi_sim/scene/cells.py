@@ -32,7 +32,7 @@ class CellMethods:
     cells_together = Column("cells", "together", "(c,) a number that cells in one have, or -1", dtype=np.int32)
 
     def cells_act(self) -> bool:
-        """Whether any cell exerts a force; others are only watched, see `Simulation.inverted`."""
+        """True if any cell exerts a force; others are only watched, see `Simulation.inverted`."""
         return bool(self.bulk_modulus.any() or self.crush_modulus.any())
 
     def add_cells(

@@ -24,7 +24,7 @@ PATTERNS = ("plain", "stripes", "checks")
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How the surface of a shape or of a collider looks.
+    """Appearance of the surface of a shape or of a collider.
 
     Args:
         of: name of the shape or of the collider.

@@ -69,7 +69,7 @@ class Motion:
 
     @property
     def moves(self) -> bool:
-        """Whether the body ever moves."""
+        """True if the body ever moves."""
         parts = (np.diff(self.positions, axis=0), self.turns, self.velocity)
         return any(bool(np.any(part)) for part in parts)
 
@@ -226,13 +226,14 @@ def moments(time: float, h: float, first: int, steps: int) -> Floats:
 
 
 def counted(time: float, h: float) -> tuple[float, int]:
-    """Where steps of h that meet `time` are counted from [s], and how many come before it: from 0 if that is a whole number."""
+    """Start [s] from which steps of h that meet `time` are counted, and number of steps before it. The start is 0 where
+    `time` is a whole number of steps."""
     whole = round(time / h)
     return (0.0, whole) if abs(whole * h - time) <= 1e-9 * time else (time, 0)
 
 
 def _as_it_is(_: str, value: Any) -> Any:
-    """What is judged later, in view of the dimensions and of the keyframe before."""
+    """Return the value unchecked: it is checked later, in view of the dimensions and of the keyframe before."""
     return value
 
 

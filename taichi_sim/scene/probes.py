@@ -68,7 +68,7 @@ class Probe:
         raise NotImplementedError
 
     def total(self, sample: ProbeSample) -> Floats | None:
-        """What has grown since the start, where the probe gives means of its growth."""
+        """Total that has grown since the start, of which the probe gives means; None where it gives none."""
         return None
 
     def mean(self, growth: Floats, interval: float) -> dict[str, float]:

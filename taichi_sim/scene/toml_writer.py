@@ -50,7 +50,7 @@ def _from(file: Path, name: str) -> str:
 
 
 def _document(scene: Any, arrays_file: str) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """What the file says, and the arrays that go to the .npz of this name."""
+    """Contents of the file, and the arrays that go to the .npz of this name."""
     document: dict[str, Any] = {"format": 1, "dim": scene.dim, "gravity": scene.gravity.tolist()}
     document |= {"simulation": _plain(scene.settings), "output": _plain(scene.output)}
     arrays: dict[str, NDArray] = {}
