@@ -1,4 +1,4 @@
-"""Where the error of a scene comes from at its own settings: the step, the mesh, single precision."""
+"""Sources of the error of a scene at its own settings: the step, the mesh, single precision."""
 
 import math
 from collections.abc import Iterator, Sequence
