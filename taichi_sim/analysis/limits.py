@@ -88,7 +88,7 @@ class RungeKuttaLimit(StabilityLimit):
         return self._box(lambda_k, lambda_d, network.rates), spring_k if elastic else spring_d
 
     def of_elements(self, rates: Rates) -> float:
-        """The same of elements alone."""
+        """undamped / max(sqrt(lambda_K), lambda_D) [s] of elements alone, and what the wind's force allows."""
         return self._box(rates.elastic, rates.damping, rates)
 
     def _box(self, elastic: float, damping: float, rates: Rates) -> float:

@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Method:
-    """What a method declares. Only the name is required; what is not declared is not claimed.
+    """Declared properties of a method. Only the name is required; a property that is not declared is not claimed.
 
     `order`: of convergence of the phase-space error for smooth scenes. `limit`: of its step, None where that is not known: then
     a simulation needs a number as dt. `symplectic`: small motion keeps an energy near the true one, but large motion of
@@ -87,11 +87,11 @@ class Method:
         return 1.0
 
     def passes(self, scene: Scene, h: float) -> int:
-        """How often a step of h seconds goes through the springs; of methods that iterate, at the least."""
+        """Number of times that a step of h seconds goes through the springs; of methods that iterate, the least."""
         return 1
 
     def damping_cure(self, omega: float, allowed: float) -> str:
-        """What to do where the decay of a motion of omega [1/s] is off by more than `allowed` [1/s]."""
+        """Advice where the decay of a motion of omega [1/s] is off by more than `allowed` [1/s]."""
         return f"take shorter steps, {VERLET} or {TR_BDF2}"
 
 

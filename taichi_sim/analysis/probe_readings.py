@@ -114,7 +114,8 @@ class Reader:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What a name like `load.tension`, or `load` where that says it, stands for. numbers: their names in what is read."""
+    """Quantity that a name like `load.tension` stands for, or `load` where that says it. numbers: their names in what is
+    read."""
 
     name: str
     numbers: tuple[str, ...]
