@@ -31,7 +31,7 @@ class Gif(Deferred):
         self._count = 0  # of frames that were asked for, shown or left out
 
     def wants(self, index: int) -> bool:
-        """Whether this frame is not too close to the last one that is shown."""
+        """True if this frame is not too close to the last one that is shown."""
         if index >= self._count:
             self._count = index + 1
         if not self._shown or index > self._shown[-1]:

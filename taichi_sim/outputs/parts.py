@@ -73,7 +73,7 @@ class Body:
 
 
 class Parts:
-    """What the frames of one scene have in common, from the first of them.
+    """Properties that the frames of one scene have in common, from the first of them.
 
     number (n,): of the object that each ball belongs to, by which `names` count. A ball is hidden where a surface is shown in
     place of it, or it is a corner of one, or within the closed one of its object; the others are loose. colour (n, 3): sRGB of
@@ -212,7 +212,7 @@ def textures_of(style: Mapping[str, Any], folder: Path) -> Textures:
 
 
 def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
-    """Where the colliders of a frame are: centre (3,) [m] and rotation (3, 3)."""
+    """Places of the colliders of a frame: centre (3,) [m] and rotation (3, 3)."""
     found = []
     for one in frame.colliders:
         rotation = np.eye(3)
