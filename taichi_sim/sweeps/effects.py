@@ -1,4 +1,4 @@
-"""What a sweep says: means over seeds, how much each parameter explains, and Sobol's indices. Plain NumPy and SciPy."""
+"""Effects in a sweep: means over seeds, how much each parameter explains, and Sobol's indices. Plain NumPy and SciPy."""
 
 import warnings
 from collections.abc import Mapping, Sequence

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit came to. parameters, measured: of the best point; target: what was asked; misfit: root of the mean square of
+    """Result of a fit. parameters, measured: of the best point; target: what was asked; misfit: root of the mean square of
     (measured - target) / target; allowed: up to which misfit the target is reached.
 
     sensitivity: for each parameter and measure the percent of the target by which the measure changes where the parameter grows
@@ -56,7 +56,7 @@ class Fit:
 
     @property
     def reached(self) -> bool:
-        """Whether the scene measures the target."""
+        """True if the scene measures the target."""
         return self.misfit <= self.allowed
 
     def scene(self) -> Scene:

@@ -70,7 +70,7 @@ class Measures:
         return f"{name} [{unit}]" if unit else name
 
     def identity(self) -> list[str]:
-        """What they are, functions by their source."""
+        """Names of the measures, and the source of those that are functions, by which they are told apart."""
         return [*self.names, *(f"{name} {_source(one)}" for name, one in self.functions.items())]
 
     def run(self, simulation: Any, duration: float, fps: float) -> dict[str, float]:
@@ -211,7 +211,7 @@ def loaded(function: Any) -> Callable[[Any], Any]:
 
 
 def _numbers(name: str, value: Any) -> dict[str, float]:
-    """What a function returned, by names."""
+    """Numbers that a function returned, by name. Raises SceneError where there are others, or a name is reserved."""
     pairs = list(value.items()) if isinstance(value, Mapping) else [(name, value)]
     if taken := [str(key) for key, _ in pairs if str(key) in RESERVED]:
         raise SceneError("measure", says=f"{name}() returned {taken[0]!r}, a column of every table; name it otherwise")

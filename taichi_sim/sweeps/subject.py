@@ -98,7 +98,7 @@ class FunctionSubject(Subject):
 
     @property
     def function(self) -> Callable[..., Scene]:
-        """What makes scenes."""
+        """Function that makes scenes. Raises SceneError where its file was changed meanwhile."""
         if self._function is None:
             assert self.file is not None
             if sources_of(self.file) != self._sources:
@@ -129,8 +129,8 @@ class FunctionSubject(Subject):
 
 
 def subject_of(what: Any, folder: Path, allow_outside: bool = False) -> Subject:
-    """What a user gives: a name as the commands take it, a function that returns a Scene, or a Scene, whose file is written to
-    the folder. Raises SceneError or OSError."""
+    """Subject of what a user gives: a name as the commands take it, a function that returns a Scene, or a Scene, whose file
+    is written to the folder. Raises SceneError or OSError."""
     if isinstance(what, Scene):
         folder.mkdir(exist_ok=True)
         what.save(folder / "scene.toml")
