@@ -1,4 +1,4 @@
-"""Whether a device computes right, before it is timed: the self-test, and in a source folder the tests against the CPU."""
+"""Checks of a device before it is timed: the self-test, and in a source folder the tests against the CPU."""
 
 import os
 import subprocess

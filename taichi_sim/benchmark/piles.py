@@ -21,7 +21,7 @@ RIVAL = "pymunk, 10 iterations"
 
 
 class Lie(NamedTuple):
-    """How a pile lies at one moment."""
+    """State of a pile at one moment."""
 
     kinetic: float  # m g r a disc
     largest: float  # r, overlap of two discs

@@ -21,7 +21,7 @@ MASS = 0.3  # kg
 
 
 class Task(NamedTuple):
-    """What is asked, and with how many steps each contestant just does it (found by trying)."""
+    """Task of the contest, and the number of steps with which each contestant just does it (found by trying)."""
 
     stiffness: float  # N/m
     error: float  # m
