@@ -28,8 +28,8 @@ def incidence(pairs: NDArray[np.integer], n: int) -> tuple[NDArray[np.int32], ND
 
 
 def sliced(start: NDArray[np.int32], width: int) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
-    """Where entries lie when the lists start[i] to start[i + 1] of `width` nodes are stored together: their first entries, then
-    their second ones, and so on, as many as the longest of them has (sliced ELLPACK, Monakov et al. 2010).
+    """Places of entries when the lists start[i] to start[i + 1] of `width` nodes are stored together: their first entries,
+    then their second ones, and so on, as many as the longest of them has (sliced ELLPACK, Monakov et al. 2010).
 
     Returns where each slice begins (slices), the place of each entry, and how many places there are.
     """
