@@ -21,7 +21,7 @@ FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 
 
 class Fabric(NamedTuple):
-    """What a sheet is made of."""
+    """Material of a sheet."""
 
     mass_per_area: float  # kg/m^2
     stretch: float  # N/m
