@@ -202,8 +202,9 @@ class Sieve(NamedTuple):
 
 
 def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
-    """Of each triangle (t,), as it is at the start, without the radii of its balls: the radius [m] of the widest circle that
-    passes between its corners, half the width [m] of the widest slit between rows of balls, and its shortest side [m]."""
+    """Holes of each triangle (t,), as it is at the start, without the radii of its balls: the radius [m] of the widest
+    circle that passes between its corners, half the width [m] of the widest slit between rows of balls, and its shortest
+    side [m]."""
     x = scene.position[scene.triangles]
     sides = np.sort(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2), axis=1)
     a, b, c = sides.T

@@ -30,7 +30,7 @@ class Rates(NamedTuple):
     drag: float = 0.0
 
     def plus(self, other: Rates) -> Rates:
-        """Of both together: lambda(A + B) <= lambda(A) + lambda(B)."""
+        """Rates of both together, by the bound lambda(A + B) <= lambda(A) + lambda(B)."""
         return Rates(*(a + b for a, b in zip(self, other)))
 
 

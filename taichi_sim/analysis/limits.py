@@ -115,7 +115,7 @@ class ExplicitEulerLimit(StabilityLimit):
         return (float(ratio[spring]), spring) if ratio[spring] <= longest else (longest, other)
 
     def of_elements(self, rates: Rates) -> float:
-        """Nothing is safe where something is elastic: elements are hardly damped."""
+        """Longest step [s] of elements alone: 0 where something is elastic, as elements are hardly damped."""
         return 0.0 if rates.elastic > 0.0 else over(self.damped, rates.damping)
 
 
@@ -127,7 +127,7 @@ class ImplicitLimit(StabilityLimit):
 
 
 class SmallMotionLimit(ImplicitLimit):
-    """Of a method whose steps are bounded at any length for small motion alone."""
+    """Limit of a method whose steps are bounded at any length for small motion alone."""
 
     caution = (
         " for small motion, but springs that turn far in a step may gain energy, and the error grows with the step"

@@ -82,7 +82,7 @@ ALIASES = {"color": "colour", "color_range": "colour_range"}  # other spellings 
 
 
 class Strict(BaseModel):
-    """No unknown keys, no conversion of one type into another."""
+    """Base of the tables: no unknown keys, no conversion of one type into another."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 

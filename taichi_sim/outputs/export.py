@@ -1,4 +1,4 @@
-"""From a simulation to an output: the loop over frames, its progress bar and its summary."""
+"""Export of a simulation to an output: the loop over frames, its progress bar and its summary."""
 
 import time
 from base64 import b64encode
@@ -93,11 +93,11 @@ class Summary:
         return one
 
     def _repr_html_(self) -> str:
-        """For notebooks: the video, if it is there and small enough to be kept in one, and the summary in words."""
+        """HTML for notebooks: the video, if it is there and small enough to be kept in one, and the summary in words."""
         return f"{_shown(Path(self.video))}<pre>{escape(chr(10).join(self.lines()))}</pre>"
 
     def _seen(self, scales: Scales) -> Scales:
-        """With the start and the end, which samples between steps may miss."""
+        """Scales that include the energies at the start and the end, which samples between steps may miss."""
         ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
         return scales._replace(motion=max(scales.motion, *ends))
 
@@ -558,7 +558,7 @@ class _Frames(Work):
         self.words = lambda: waiting(time.monotonic() - start)
 
     def advance(self, done: int, simulated: float) -> None:
-        """So many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""
+        """Note that so many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""
         self.done = done
         if self._before is None:
             self.begin(self.what)

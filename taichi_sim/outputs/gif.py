@@ -61,7 +61,7 @@ class Gif(Deferred):
         super().finish()
 
     def _reduced(self, picture: Any) -> Any:
-        """To 256 colours."""
+        """Picture with 256 colours."""
         from PIL import Image as Pictures
 
         return picture.quantize(256, dither=Pictures.Dither.NONE)

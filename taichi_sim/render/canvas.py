@@ -45,7 +45,7 @@ class Visibility:
             yield
 
     def clear(self, width: int, height: int) -> None:
-        """Nothing is seen in the next picture, of this size."""
+        """Clear the buffer for a next picture, of this size."""
         visibility.clear(self, self.samples, *self._size, tiles(*self._size))
         self._size = (width, height)
 

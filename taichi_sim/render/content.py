@@ -135,7 +135,8 @@ def enclosed(frame: Frame) -> NDArray[np.bool_]:
 def _smoothing(
     frame: Frame, triangles: NDArray, binding: Binding, bodies: Bodies, crease: float, x: NDArray
 ) -> Smoothing:
-    """Of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp edges."""
+    """Smoothing of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp
+    edges."""
     flat = np.zeros(len(x) + len(binding), dtype=bool)
     for one in frame.objects:
         flat[one.balls] = one.is_sheet

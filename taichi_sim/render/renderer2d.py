@@ -40,7 +40,8 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
 
 class Renderer2D:
-    """See `Renderer`. The view is placed by the first frame and stays, but for what a CameraPath says."""
+    """Renderer of 2D frames, see `Renderer`. The view is placed by the first frame and stays, but for what a CameraPath
+    says."""
 
     def __init__(
         self,

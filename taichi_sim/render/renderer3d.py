@@ -30,7 +30,8 @@ IN_SIGHT = 0.4  # of the camera's distance from its target: colliders so near to
 
 
 class Renderer3D:
-    """See `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32 suffices."""
+    """Renderer of 3D frames, see `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32
+    suffices."""
 
     def __init__(
         self,
@@ -221,7 +222,7 @@ class Renderer3D:
 
     @property
     def _distance(self) -> float:
-        """Of the camera from its target [m]."""
+        """Distance of the camera from its target [m]."""
         return float(np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)))
 
     @property

@@ -24,8 +24,8 @@ class Smoothing(NamedTuple):
 
     @classmethod
     def of(cls, points: NDArray, triangles: NDArray, crease: float, soft: NDArray | None = None) -> "Smoothing":
-        """Of triangles (t, 3) of points (v, 3); edges are sharp where the two triangles are more than `crease` degrees
-        apart, unless they are `soft` (t,), and where they are not two, wound alike."""
+        """Smoothing of triangles (t, 3) of points (v, 3); edges are sharp where the two triangles are more than `crease`
+        degrees apart, unless they are `soft` (t,), and where they are not two, wound alike."""
         t = len(triangles)
         if t == 0:
             return cls(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, bool))
@@ -63,7 +63,7 @@ class Smoothing(NamedTuple):
         return self._replace(sheet=np.zeros_like(self.sheet))
 
     def joined(self, other: "Smoothing") -> "Smoothing":
-        """This and another one, whose triangles follow."""
+        """Join this one and another one, whose triangles follow."""
         return Smoothing(
             np.concatenate([self.normal_of, other.normal_of + self.normals]).astype(np.int32),
             np.concatenate([self.part, other.part + len(self.part)]).astype(np.int32),

@@ -76,7 +76,7 @@ class CameraPath:
 
     @classmethod
     def of(cls, given: Mapping[str, Any], dim: int, n_balls: int) -> "CameraPath":
-        """From the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
+        """Make a path from the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
         known = KEYS_IN_2D if dim == 2 else [f.name for f in fields(cls) if f.name not in KEYS_IN_2D[:2]]
         if not isinstance(given, Mapping):
             raise SceneError("camera", given, f"a table of {', '.join(known)}")

@@ -115,7 +115,7 @@ class _Cells(Columns, Element):
         ]
 
     def stiffness(self, scene: Any) -> list[Quadratic]:
-        """By the gradients of volumes at rest, with room for stretching."""
+        """Quadratic forms by the gradients of volumes at rest, with room for stretching."""
         strength = (ROOM * scene.bulk_modulus + scene.crush_modulus) / scene.rest_volume
         return [Quadratic(scene.cells, _gradients(scene), strength)]
 

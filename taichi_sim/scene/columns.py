@@ -119,7 +119,7 @@ class Names:
         self._seen = 0
 
     def number(self, items: Sequence[Any], name: str) -> int | None:
-        """Of the first item of that name; None where there is none, or an item was replaced by it meanwhile."""
+        """Number of the first item of that name; None where there is none, or an item was replaced by it meanwhile."""
         if items is not self._items or self._seen > len(items):  # another list, or some were taken back
             self._numbers, self._items, self._seen = {}, items, 0
         for k in range(self._seen, len(items)):

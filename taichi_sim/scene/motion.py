@@ -37,7 +37,7 @@ class _Time(TypedDict):
 
 
 class Keyframe(_Time, total=False):
-    """By how far a body has moved and turned from where it starts, at a time. In the first keyframe both are 0.
+    """Displacement and rotation of a body from where it starts, at a time. In the first keyframe both are 0.
 
     Args:
         time: since the start [s].
@@ -89,14 +89,14 @@ class Motion:
         return x, turn_matrix(self.turns[k] * since[:, None]) @ self.rotations[k]
 
     def steps(self, time: float, h: float, first: int, steps: int) -> tuple[Floats, Floats, Floats, Floats]:
-        """At `time` + first h, ..., (first + steps) h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and
+        """Positions and rotations at `time` + first h, ..., (first + steps) h, and the velocities (steps + 1, dim) [m/s] and
         angular velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
         t = moments(time, h, first, steps + 1)
         x, turn = self.at(t)
         return x[:-1], turn[:-1], self._velocities(t, x, turn), turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
 
     def _velocities(self, t: NDArray[Any], x: Floats, turn: Floats) -> Floats:
-        """From each of the times to the next; exactly those given where they hold all the way."""
+        """Velocities [m/s] from each of the times to the next; exactly those given where they hold all the way."""
         h = np.diff(t)[:, None]
         if len(self.times) == 1:
             arm = self.rotations[0].T @ (self.positions[0] - self.pivot)
@@ -125,7 +125,8 @@ class Motion:
 
     @classmethod
     def of(cls, where: str, dim: int, position: Floats, given: Mapping[str, Any], *, named: bool = True) -> "Motion":
-        """From the arguments of a shape, checked: rotation, velocity, rotation_rate, pivot, path, repeat. SceneError.
+        """Make a motion from the arguments of a shape, checked: rotation, velocity, rotation_rate, pivot, path, repeat.
+        Raises SceneError.
 
         named: the user gave the position; a path that leaves it out at first could be meant to go on from there.
         """

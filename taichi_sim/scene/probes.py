@@ -60,7 +60,7 @@ class Probe:
         return (*"xyz"[:dim], "magnitude") if self.vector else tuple(self.units)
 
     def unit(self, number: str) -> str:
-        """Of a number; empty where it is a plain one."""
+        """Unit of a number; empty where it is a plain one."""
         return next(iter(self.units.values())) if self.vector else self.units[number]
 
     def read(self, sample: ProbeSample) -> dict[str, float]:

@@ -86,7 +86,8 @@ def _short(part: Part, scene: Any, row: Row) -> Row:
 
 
 def _one(column: Any) -> Any:
-    """Its one value, where a column of quantities or flags has no other; whole numbers count things."""
+    """Value that all of a column of quantities or flags have, or the column where they differ; whole numbers count things
+    and stay."""
     many = isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "fb" and len(column) > 0
     return column[0] if many and np.all(column == column[0]) else column
 

@@ -95,7 +95,7 @@ class Bends(NamedTuple):
         return Bends(corners, weights, stiffness, np.concatenate(hinge))
 
     def times(self, factor: float) -> Bends:
-        """Those that are so many times as stiff."""
+        """Return bends that are so many times as stiff."""
         return self._replace(stiffness=factor * self.stiffness)
 
 

@@ -141,7 +141,7 @@ def box_cells(
 
 
 def _averaged(values: NDArray, axis: int) -> NDArray:
-    """At the n + 1 planes between n layers the mean of both sides, with nothing beyond the ends."""
+    """Means of both sides at the n + 1 planes between n layers, with nothing beyond the ends."""
     wide = np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(values.ndim)])
     ends = [slice(None)] * values.ndim
     lower, upper = list(ends), list(ends)
@@ -251,7 +251,7 @@ def _crossings(corners: NDArray, number: tuple[int, ...], turned: bool) -> NDArr
 
 
 def connected(filled: NDArray[np.bool_], least: float = 0.02) -> NDArray[np.bool_]:
-    """Those boxes that hang together by their faces, without crumbs smaller than `least` of the largest piece."""
+    """Mask of the boxes that hang together by their faces, without crumbs smaller than `least` of the largest piece."""
     from scipy.ndimage import label
 
     names, _ = label(filled)
@@ -290,7 +290,7 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
 
 @contextmanager
 def _elsewhere() -> Iterator[None]:
-    """In a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
+    """Run the block in a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
     before = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)

@@ -85,7 +85,7 @@ def axis_of(path: str, given: Any) -> Axis:
 
 
 def axes_of(given: Mapping[str, Any] | Sequence[str]) -> tuple[Axis, ...]:
-    """Of a mapping, path to values, or of texts `path=values`."""
+    """Axes of a mapping, path to values, or of texts `path=values`."""
     pairs: list[tuple[str, Any]] = []
     if isinstance(given, Mapping):
         pairs = list(given.items())

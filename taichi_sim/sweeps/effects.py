@@ -55,8 +55,8 @@ def parameters_in_words(parameters: Mapping[str, Any]) -> list[str]:
 
 
 class Effect(NamedTuple):
-    """Of a parameter on a measure. share: of the variance between points that its means explain (eta squared); low, high: the
-    least and largest of these means."""
+    """Effect of a parameter on a measure. share: of the variance between points that its means explain (eta squared); low,
+    high: the least and largest of these means."""
 
     path: str
     share: float

@@ -70,7 +70,7 @@ class Fit:
         return Simulation(self.scene(), **self.settings)
 
     def lines(self) -> list[str]:
-        """In words."""
+        """Lines of the result, in words."""
         verdict = "found" if self.reached else "NOT reached, nearest"
         said = [
             f"{'' if k else verdict:12} {name} = {value:.6g}" for k, (name, value) in enumerate(self.parameters.items())
@@ -230,7 +230,7 @@ class _Search:
         return np.array([self.tried.get(place, unknown) for place in map(tuple, places.tolist())])
 
     def parameters(self, place: Iterable[float]) -> dict[str, float]:
-        """Of a place."""
+        """Parameters by path at a place, of which each number is a part of its range, from 0 to 1."""
         return {axis.path: axis.at(float(u)) for axis, u in zip(self.axes, place)}
 
     def misfits(self, places: Floats) -> Floats:

@@ -38,7 +38,7 @@ class Number:
     unit: str = ""
 
     def of(self, found: Sequence[float]) -> float:
-        """Of all readings, nan left out where it is no last one."""
+        """Statistic of all readings; those that are nan are left out where it is not the last one."""
         if self.statistic == "last":
             return float(found[-1])
         known = [value for value in found if not math.isnan(value)]
@@ -57,7 +57,7 @@ class Measures:
 
     @property
     def names(self) -> list[str]:
-        """Of the numbers; functions may give several of their own."""
+        """Names of the numbers; functions may give several of their own."""
         return [number.name for number in self.numbers]
 
     def unit(self, name: str) -> str:
@@ -105,7 +105,7 @@ class Measures:
 
 
 def measures_of(given: Any, scene: Scene) -> Measures:
-    """Of names and functions, one or several; None: each number of each probe at the end, or, without any, the energy.
+    """Measures of names and functions, one or several; None: each number of each probe at the end, or, without any, the energy.
 
     Names: `probes.load`, `probes.load.tension`, `energy.total` and its parts, `contacts`, `penetration`, `largest_speed`, each
     with `.max`, `.min` or `.mean` for that of all frames; or `module:function`. A function gets the Simulation at the end, and

@@ -58,7 +58,7 @@ class Row:
 
     @classmethod
     def of(cls, point: Point, **more: Any) -> "Row":
-        """Of a point."""
+        """Make the row of a point."""
         return cls(point.key, dict(point.parameters), point.seed, **more)
 
 

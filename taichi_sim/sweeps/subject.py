@@ -71,7 +71,7 @@ class FileSubject(Subject):
             return Reader(self.file, self.text, document, None, self.allow_outside).scene()
 
     def identity(self) -> str:
-        """Of what the file says, comments apart, and of all that it reads: arrays, meshes."""
+        """Identity by what the file says, comments apart, and by all that it reads: arrays, meshes."""
         try:
             made = contents_of(self._made({}, None))
         except (SceneError, ValueError):  # it lacks what the parameters are

@@ -76,7 +76,8 @@ def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
 
 
 def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
-    """On the CPU, with what the process runs or double precision; warnings are the business of the case that is about them."""
+    """Simulation on the CPU, with what the process runs or double precision; warnings are the business of the case that is
+    about them."""
     _start()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -42,7 +42,7 @@ class Compared:
 
     @property
     def unit(self) -> str:
-        """Of errors; empty where the quantity is a plain number."""
+        """Unit of errors; empty where the quantity is a plain number."""
         return "m" if self.quantity is None else self.quantity.unit
 
     @property

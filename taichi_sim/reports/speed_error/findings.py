@@ -151,7 +151,7 @@ class Findings:
             yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the motion."
 
     def lines(self) -> Iterator[str]:
-        """For the terminal."""
+        """Lines for the terminal."""
         yield f"report       {self.plan.name}"
         yield from self.about()
         if self.front:

@@ -1,4 +1,4 @@
-"""From a trial to a row."""
+"""Rows of a report, made from trials."""
 
 import numpy as np
 

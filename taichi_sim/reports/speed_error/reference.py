@@ -61,7 +61,7 @@ class Reference:
 
     @property
     def known(self) -> float:
-        """To what the reference is known, at the worst moment before the horizon; infinite where there is none."""
+        """Error up to which the reference is known, at the worst moment before the horizon; infinite where there is none."""
         return float(self.difference[: self.parts].max()) if self.parts else np.inf
 
     @property

@@ -31,7 +31,7 @@ class Trials:
 
     @cached_property
     def size(self) -> float:
-        """Of the scene [m]."""
+        """Size of the scene [m]."""
         return size_of(self.scene)
 
     def own_step(self, method: str | None = None) -> tuple[str, Step]:
