@@ -44,10 +44,10 @@ FILLED_SHARE = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
 
 
 class Setup(NamedTuple):
-    """How a scene is run: method, seconds per substep, precision ("f32", "f64"), contacts (`rule`, "off" where there are none).
-    compensated: sums of positions keep what rounding takes. give: depth of a soft contact as a part of h^2 F / m, F [N] being
-    the load of one solve and m [kg] the contact's mass; 0 where contacts are rigid. loses: crowds are held to their energy by
-    scaling what bounces."""
+    """Settings with which a scene is run: method, seconds per substep, precision ("f32", "f64"), contacts (`rule`, "off"
+    where there are none). compensated: sums of positions keep what rounding takes. give: depth of a soft contact as a part
+    of h^2 F / m, F [N] being the load of one solve and m [kg] the contact's mass; 0 where contacts are rigid. loses: crowds
+    are held to their energy by scaling what bounces."""
 
     method: Method
     h: float
@@ -202,8 +202,9 @@ class Sieve(NamedTuple):
 
 
 def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
-    """Of each triangle (t,), as it is at the start, without the radii of its balls: the radius [m] of the widest circle that
-    passes between its corners, half the width [m] of the widest slit between rows of balls, and its shortest side [m]."""
+    """Holes of each triangle (t,), as it is at the start, without the radii of its balls: the radius [m] of the widest
+    circle that passes between its corners, half the width [m] of the widest slit between rows of balls, and its shortest
+    side [m]."""
     x = scene.position[scene.triangles]
     sides = np.sort(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2), axis=1)
     a, b, c = sides.T
@@ -283,8 +284,9 @@ def through(sieve: Sieve) -> str:
 
 
 def dip(radius: float, ball: float, hole: float) -> float:
-    """How deep [m] triangles whose corners, balls of a radius [m], lie on a sphere of `radius` [m] reach into it: their centres
-    are sqrt((radius + ball)^2 - hole^2) from its own, hole [m] being the radius of the circle around a triangle."""
+    """Depth [m] to which triangles reach into a sphere of `radius` [m], on which their corners, balls of a radius [m], lie:
+    their centres are sqrt((radius + ball)^2 - hole^2) from its own, hole [m] being the radius of the circle around a
+    triangle."""
     reach = (radius + ball) ** 2 - hole**2
     return max(0.0, radius - float(np.sqrt(reach))) if reach > 0.0 else radius
 
@@ -323,8 +325,8 @@ def _cloth(scene: Scene) -> Iterator[Finding]:
 
 
 def rounding_error(scene: Scene, setup: Setup) -> tuple[float, float, float]:
-    """What single precision loses: the distance [m] from the origin that counts, how far numbers are apart there [m], and the
-    error [m] after a second.
+    """Loss of single precision: the distance [m] from the origin that counts, the distance [m] of neighbouring numbers
+    there, and the error [m] after a second.
 
     A position is off by ulp / sqrt(12). Plain sums of 1/h steps walk off by sqrt(1 / h) times that. Where sums are compensated,
     forces still see the rounded places: springs of frequency w kick by h w^2 times it, which swings by h w sqrt(1 / h). A ball
@@ -346,7 +348,7 @@ def rounding_error(scene: Scene, setup: Setup) -> tuple[float, float, float]:
 
 
 def single_precision(scene: Scene, setup: Setup) -> tuple[str, bool]:
-    """What single precision loses in this scene, as words, and whether that shows."""
+    """Words on what single precision loses in this scene, and True if that shows."""
     far, ulp, error = rounding_error(scene, setup)
     small = float(scene.radius.min())
     still = "" if setup.compensated else f"; balls slower than {0.5 * ulp / setup.h:.2g} m/s stand still there"

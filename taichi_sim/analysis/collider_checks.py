@@ -24,7 +24,8 @@ def check_colliders(scene: Scene, h: float) -> None:
 
 
 def _refuse_leaps(scene: Scene, h: float) -> None:
-    """On the way of a step every triangle would be near every other: lists of all pairs, and nothing that they could mend."""
+    """Refuse steps on whose way every triangle would be near every other: lists of all pairs, and nothing that they could
+    mend. Raises SceneError."""
     surfaces = scene.triangles[scene.solid]
     if not len(surfaces):
         return

@@ -1,4 +1,4 @@
-"""How `verlet` takes strong damping: springs that are alone exactly, networks by stabilised Runge-Kutta polynomials.
+"""Strong damping in `verlet`: springs that are alone exactly, networks by stabilised Runge-Kutta polynomials.
 
 With places held for a while tau, velocities obey dv/dt = W (F - D v), W the inverse masses, F the forces that do not depend on
 velocity, D the damping matrix: v(tau) = R v + (1 - R) D^-1 F with R = exp(-tau W D). A polynomial of tau W D in place of the
@@ -39,20 +39,21 @@ class Stages(NamedTuple):
 
 
 def predicts_damping(scene: Scene) -> bool:
-    """Whether `verlet` takes spring damping at predicted velocities, for which it is weak enough, and not together with the
-    kick, which nothing limits and which costs passes over the springs of its own."""
+    """True if spring damping is weak enough for `verlet` to take it at predicted velocities, and not together with the kick,
+    which nothing limits and which costs passes over the springs of its own."""
     return bool(np.any(scene.damping > 0)) and is_weak(scene, scene.stiffness, scene.damping)
 
 
 def is_weak(scene: Scene, k: Floats, c: Floats) -> bool:
-    """Whether springs of stiffness k and damping c, both (m,), leave h^2 lambda(K + 4 D / h) < 4 in every shape at GENTLE times
-    the undamped step."""
+    """True if springs of stiffness k and damping c, both (m,), leave h^2 lambda(K + 4 D / h) < 4 in every shape at GENTLE
+    times the undamped step."""
     h = GENTLE * over(2.0, float(np.sqrt(largest_eigenvalue(scene, k)[0])))
     return bool(np.isfinite(h)) and h * h * largest_eigenvalue(scene, k + 4.0 * c / h)[0] <= 4.0
 
 
 def lone(scene: Scene) -> NDArray[np.bool_]:
-    """Which springs (m,) are damped and share no ball that can move with another damped one. What tears is not among them."""
+    """Mask (m,) of the springs that are damped and share no ball that can move with another damped one. All False if any
+    spring can tear."""
     damped = scene.damping > 0
     count = np.bincount(scene.pairs[damped].ravel(), minlength=scene.n_balls)
     alone = ((count == 1) | scene.pinned)[scene.pairs].all(axis=1) & ~scene.pinned[scene.pairs].all(axis=1)

@@ -92,7 +92,7 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
 
 
 def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
-    """Which triangles (t, 3), or elements (t, more), of n balls hold both balls of one of the pairs (k, 2)."""
+    """Mask (t,) of the triangles (t, 3), or elements (t, more), of n balls that hold both balls of one of the pairs (k, 2)."""
     k = triangles.shape[1]
     sides = np.sort(triangles[:, [[a, b] for b in range(k) for a in range(b)]].astype(np.int64), axis=2)
     pairs = np.sort(torn.astype(np.int64), axis=1)
@@ -101,8 +101,9 @@ def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
 
 
 def torn_open(scene: Scene, position: NDArray, torn: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which triangles (t,) of a scene are no more where springs (m,) have torn: those with two torn sides, or one that gapes: a
-    thread that tears leaves no hole in cloth that holds; of those that collide, which then do so no more, all with one."""
+    """Mask (t,) of the triangles removed by torn springs (m,): those with two torn sides, or one torn side longer than
+    GAPING times its rest length; a thread that tears alone leaves no hole in cloth that holds. A triangle that collides is
+    removed with its first torn side. position: (n, dim) [m]."""
     n, pairs = scene.n_balls, np.sort(scene.pairs[torn].astype(np.int64), axis=1)
     length = np.linalg.norm(position[pairs[:, 1]] - position[pairs[:, 0]], axis=1)
     gapes = length > GAPING * scene.rest_length[torn]
@@ -124,7 +125,7 @@ def check_tearing(scene: Scene) -> None:
 
 
 def inverted(scene: Scene, x: Floats) -> int:
-    """How many cells are flat or turned inside out."""
+    """Number of cells that are flat or turned inside out. x: (n, dim) [m]."""
     return int(np.count_nonzero(cell_volumes(x, scene.cells) <= 0.0)) if len(scene.cells) else 0
 
 
@@ -181,7 +182,8 @@ def contacts(tally: Floats | None, iterations: int, substeps: int, fastest: floa
 
 
 def collider_depth(scene: Scene, collider: Collider, x: Floats, time: float) -> Floats:
-    """How deep [m] each ball (n,) lies in a collider, 0 where it does not touch it or is pinned."""
+    """Depth [m] (n,) of each ball in a collider, 0 where the ball does not touch it or is pinned. x: (n, dim) [m] at time
+    [s]."""
     depth = np.zeros(scene.n_balls)
     centre = collider.motion.at(time)[0][0]
     reach = collider.extent + scene.radius

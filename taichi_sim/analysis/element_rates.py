@@ -1,4 +1,4 @@
-"""How stiff cells, bending elements, gases and the wind are: lambda_max of M^-1 K and of M^-1 D, for the largest safe step."""
+"""Stiffness of cells, bending elements, gases and the wind: lambda_max of M^-1 K and of M^-1 D, for the largest safe step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Rates(NamedTuple):
     drag: float = 0.0
 
     def plus(self, other: Rates) -> Rates:
-        """Of both together: lambda(A + B) <= lambda(A) + lambda(B)."""
+        """Rates of both together, by the bound lambda(A + B) <= lambda(A) + lambda(B)."""
         return Rates(*(a + b for a, b in zip(self, other)))
 
 
@@ -55,8 +55,8 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
 
 
 def declared_rates(scene: Scene, forces: Sequence[Any]) -> Rates:
-    """What user-defined forces declare: the sums of their `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)` [1/s], 0
-    where a force has no such function. Raises ValueError for what is not a rate."""
+    """Rates that user-defined forces declare: the sums of their `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)`
+    [1/s], 0 where a force has no such function. Raises ValueError for what is not a rate."""
     sums = []
     for name in ("stiffness_rate", "damping_rate"):
         sums.append(0.0)

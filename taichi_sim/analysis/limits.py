@@ -88,7 +88,7 @@ class RungeKuttaLimit(StabilityLimit):
         return self._box(lambda_k, lambda_d, network.rates), spring_k if elastic else spring_d
 
     def of_elements(self, rates: Rates) -> float:
-        """The same of elements alone."""
+        """undamped / max(sqrt(lambda_K), lambda_D) [s] of elements alone, and what the wind's force allows."""
         return self._box(rates.elastic, rates.damping, rates)
 
     def _box(self, elastic: float, damping: float, rates: Rates) -> float:
@@ -115,7 +115,7 @@ class ExplicitEulerLimit(StabilityLimit):
         return (float(ratio[spring]), spring) if ratio[spring] <= longest else (longest, other)
 
     def of_elements(self, rates: Rates) -> float:
-        """Nothing is safe where something is elastic: elements are hardly damped."""
+        """Longest step [s] of elements alone: 0 where something is elastic, as elements are hardly damped."""
         return 0.0 if rates.elastic > 0.0 else over(self.damped, rates.damping)
 
 
@@ -127,7 +127,7 @@ class ImplicitLimit(StabilityLimit):
 
 
 class SmallMotionLimit(ImplicitLimit):
-    """Of a method whose steps are bounded at any length for small motion alone."""
+    """Limit of a method whose steps are bounded at any length for small motion alone."""
 
     caution = (
         " for small motion, but springs that turn far in a step may gain energy, and the error grows with the step"

@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Method:
-    """What a method declares. Only the name is required; what is not declared is not claimed.
+    """Declared properties of a method. Only the name is required; a property that is not declared is not claimed.
 
     `order`: of convergence of the phase-space error for smooth scenes. `limit`: of its step, None where that is not known: then
     a simulation needs a number as dt. `symplectic`: small motion keeps an energy near the true one, but large motion of
@@ -87,11 +87,11 @@ class Method:
         return 1.0
 
     def passes(self, scene: Scene, h: float) -> int:
-        """How often a step of h seconds goes through the springs; of methods that iterate, at the least."""
+        """Number of times that a step of h seconds goes through the springs; of methods that iterate, the least."""
         return 1
 
     def damping_cure(self, omega: float, allowed: float) -> str:
-        """What to do where the decay of a motion of omega [1/s] is off by more than `allowed` [1/s]."""
+        """Advice where the decay of a motion of omega [1/s] is off by more than `allowed` [1/s]."""
         return f"take shorter steps, {VERLET} or {TR_BDF2}"
 
 
@@ -111,13 +111,14 @@ class _SymplecticEuler(Method):
         return np.array([[1.0 - h * h * k, h * (1.0 - h * d)], [-h * k, 1.0 - h * d]])
 
     def swing(self, part: float) -> float:
-        """It keeps v^2 + w^2 x^2 - h w^2 x v."""
+        """Swing of the energy where a step keeps v^2 + w^2 x^2 - h w^2 x v."""
         return (1.0 + part) / (1.0 - part)
 
 
 class _Verlet(Method):
     def amplification(self, scene: Scene, omega: float, d: float, h: float) -> Floats:
-        """At predicted velocities also of the acceleration of the step before; else the kick between two drifts, and a drift."""
+        """Matrix of a step. Damping at predicted velocities adds the acceleration of the step before; else it is the kick
+        between two drifts, and a drift."""
         k = omega**2
         if predicts_damping(scene):
             drift = np.array([[1.0, h, 0.5 * h * h], [0.0, 1.0, 0.5 * h]])  # the place, the velocity in the middle
@@ -132,13 +133,13 @@ class _Verlet(Method):
         return np.array([[1.0 - h * k * gone, h * left], [-k * gone, left]])
 
     def spring_damping(self, scene: Scene, h: float) -> Floats:
-        """Of networks that are strongly damped, as far as the stages reach."""
+        """Damping (m,) [N s/m] as steps take it; of networks that are strongly damped, as far as the stages reach."""
         if predicts_damping(scene):
             return scene.damping
         return np.where(lone(scene), scene.damping, softened(scene, 0.5 * h))
 
     def swing(self, part: float) -> float:
-        """It keeps v^2 + w^2 x^2 (1 - s^2), s = w h / 2."""
+        """Swing of the energy where a step keeps v^2 + w^2 x^2 (1 - s^2), s = w h / 2."""
         return 1.0 / (1.0 - part**2)
 
     def passes(self, scene: Scene, h: float) -> int:
@@ -148,7 +149,7 @@ class _Verlet(Method):
         return 1
 
     def damping_cure(self, omega: float, allowed: float) -> str:
-        """Only strong damping can be off."""
+        """Advice for strong damping, the only one that can be off."""
         return f"stages for damping this strong have an end; take {TR_BDF2}, or less damping"
 
 

@@ -16,10 +16,10 @@ KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
 class Scales(NamedTuple):
-    """What a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on it; takers: what of
-    the scene takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of it that the
-    method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy itself. touches: there
-    may be contacts."""
+    """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on it; takers:
+    what in the scene takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
+    it that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy
+    itself. touches: there may be contacts."""
 
     slow: float
     closed: bool
@@ -32,8 +32,8 @@ class Scales(NamedTuple):
 
 
 def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
-    """Which of restitution, friction and damping take energy in a scene. touches: there may be contacts. Of two materials the
-    larger restitution and the geometric mean of frictions count, so those of the balls decide."""
+    """Names of those of restitution, friction and damping that take energy in a scene. touches: there may be contacts. Of
+    two materials the larger restitution and the geometric mean of frictions count, so those of the balls decide."""
     made_of = [scene.materials[k] for k in np.unique(scene.material)] if touches else []
     found = {
         "restitution": any(m.restitution < 1.0 for m in made_of),

@@ -18,7 +18,8 @@ MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 
 def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
-    """Where single precision cannot resolve the scene, something goes through cloth, or substeps let heavy balls sink."""
+    """Warnings where single precision cannot resolve the scene, something goes through cloth, or substeps let heavy balls
+    sink."""
     method, h = setup.method, setup.h
     if setup.precision == "f32" and scene.n_balls:
         lost, shows = single_precision(scene, setup)

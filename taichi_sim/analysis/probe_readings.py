@@ -114,7 +114,8 @@ class Reader:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What a name like `load.tension`, or `load` where that says it, stands for. numbers: their names in what is read."""
+    """Quantity that a name like `load.tension` stands for, or `load` where that says it. numbers: their names in what is
+    read."""
 
     name: str
     numbers: tuple[str, ...]
@@ -123,7 +124,7 @@ class Quantity:
     of_energy: bool  # what it is compared with is the largest kinetic and spring energy
 
     def value(self, found: Mapping[str, float]) -> Floats:
-        """Its numbers, (1,) or (dim,), of what `Readings.read` found."""
+        """Numbers of the quantity, (1,) or (dim,), from what `Readings.read` found."""
         return np.array([found[number] for number in self.numbers])
 
 

@@ -1,4 +1,4 @@
-"""What a method makes of the damping of the slowest motions of a scene, worked out before anything runs.
+"""Damping of the slowest motions of a scene by a method, worked out before anything runs.
 
 A mode of small motion obeys q'' + d q' + omega^2 q = 0, with omega and its shape from the springs at present and d from their
 damping of that shape. A step of h seconds takes it on by a small matrix, whose eigenvalues tell the decay that will be seen.

@@ -61,8 +61,8 @@ def largest_eigenvalue(scene: Scene, weight: Floats) -> tuple[float, int]:
 
 
 def present_eigenvalue(scene: Scene, stiffness: Floats, damping: Floats, position: Floats) -> tuple[float, int]:
-    """The same at `position` (n, dim) [m] for K of `stiffness` (m,), the tension of its springs included, plus a damping matrix
-    of `damping` (m,); and a spring at the ball that sets it."""
+    """Bound on lambda_max(M^-1 A) at `position` (n, dim) [m], and a spring at the ball that sets it. A is K of `stiffness`
+    (m,), the tension of its springs included, plus a damping matrix of `damping` (m,)."""
     pairs, dim = scene.pairs, scene.dim
     if not len(pairs):
         return 0.0, 0

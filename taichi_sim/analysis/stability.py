@@ -132,7 +132,7 @@ def _explicit(scene: Scene, method: Method, custom: Rates) -> Rates:
 
 
 def _solves_gas(scene: Scene, method: Method) -> bool:
-    """Whether a method treats gas together with springs, so that it does not limit the step."""
+    """True if a method treats gas together with springs, so that it does not limit the step."""
     return method.solves_gas and scene.n_springs > 0
 
 
@@ -145,7 +145,7 @@ def _unlimited(reason: str) -> Stability:
 
 
 def _of_elements(method: Method, limit: StabilityLimit, rates: Rates, custom: Rates) -> Stability:
-    """Where only elements limit the step: they are explicit in every method."""
+    """Stability where only elements limit the step: they are explicit in every method."""
     h = limit.of_elements(rates)
     if np.isinf(h):
         return _unlimited("nothing has stiffness or damping: every step is stable")

@@ -1,4 +1,4 @@
-"""What a ball lies in, in words, for warnings. In NumPy and slow: it is asked once."""
+"""Words for what a ball lies in, for warnings. In NumPy and slow: it is asked once."""
 
 from collections.abc import Iterator
 
@@ -13,7 +13,8 @@ ALIKE = 0.02  # of an overlap: kernels find it in single precision
 
 
 def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float) -> str:
-    """How ball number `ball` and what it touches overlap, by `part` of the smaller radius; position (n, dim) [m] at time [s]."""
+    """Sentence on the overlap of ball number `ball` and what it touches, by `part` of the smaller radius; position (n, dim)
+    [m] at time [s]."""
     led = any(ball in pins.balls for pins in scene.moving_pins)
     one = f"{'moving pin' if led else 'ball'} {ball}"
     found = min(_touched(scene, position, time, ball), key=lambda each: abs(each[0] - part), default=(np.inf, ""))

@@ -33,7 +33,7 @@ class Turn(NamedTuple):
         return method.turning_loss(self.speed, h)
 
     def shows(self, method: Method, h: float) -> bool:
-        """Whether that is worth a word."""
+        """True if the loss of angular momentum is worth a word."""
         rate = self.rate(method, h)
         return self.speed > 0.0 and max(rate, rate * 2.0 * np.pi / self.speed) > SHOWS
 

@@ -1,4 +1,4 @@
-"""Whether a device computes right, before it is timed: the self-test, and in a source folder the tests against the CPU."""
+"""Checks of a device before it is timed: the self-test, and in a source folder the tests against the CPU."""
 
 import os
 import subprocess
@@ -34,7 +34,7 @@ class Checks(NamedTuple):
     passed: bool
 
     def lines(self) -> list[str]:
-        """For a person."""
+        """Lines for a person."""
         said = "tests of devices: none here; they come with the source"
         if self.tests is not None:
             said = "tests of devices: {tests}, of which {failed} failed and {skipped} skipped".format(**self.tests)

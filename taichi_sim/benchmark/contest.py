@@ -1,4 +1,4 @@
-"""What a benchmark finds, as a table, and how contestants take turns."""
+"""Table of a benchmark's findings, and turns of the contestants."""
 
 import statistics
 import time
@@ -68,8 +68,8 @@ class Report:
                 seconds.append(elapsed(entry.runner.step, entry.steps) / entry.steps)
 
     def rates(self, seconds: float, units: float) -> dict[str, float]:
-        """What a time of a row means: units and, by the least that a step must move, bytes in a second, and that as a part of the
-        device's limit; only what the report has."""
+        """Rates that follow from a row's time [s]: units and, by the least that a step must move, bytes in a second, and
+        that as a part of the device's limit; only what the report has."""
         found = {}
         if self.unit:
             found["units_per_second"] = units / seconds
@@ -160,8 +160,8 @@ def count_of(number: int, what: str, ending: str = "s") -> str:
 
 
 def peer(place: str, *arguments: Any, **options: Any) -> Callable[[], Runner]:
-    """What makes a peer, a class like "cloth_warp.ClothWarp" of `benchmark.peers`; what it needs may be missing, so its module is
-    imported only then."""
+    """Function that makes a peer, a class like "cloth_warp.ClothWarp" of `benchmark.peers`. The packages that a peer needs
+    may be missing, so its module is imported only when that function is called."""
     module, name = place.split(".")
     return lambda: getattr(import_module(f"taichi_sim.benchmark.peers.{module}"), name)(*arguments, **options)
 

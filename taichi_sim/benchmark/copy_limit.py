@@ -1,4 +1,4 @@
-"""How fast the device copies memory: what bounds any kernel that has to go through its data once."""
+"""Rate at which the device copies memory: the bound of any kernel that has to go through its data once."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""How often a piece of work launches loops on the device, and how often the host waits for it.
+"""Counts, for a piece of work, of the loops that it launches on the device, and of the times that the host waits for it.
 
 Launches are what the engine's profiler records: each loop of a kernel, and each stretch between its loops, which runs on one
 thread. It records only in a process that was started with the environment variable of `PROFILED`.
@@ -42,7 +42,7 @@ class Counts(NamedTuple):
 
 
 def count(work: Callable[[], object]) -> Counts:
-    """What `work` does once. What it compiles is not counted, but its launches are: call it once before.
+    """Counts of one call of `work`. What it compiles is not counted, but its launches are: call it once before.
 
     Raises BackendError where the profiler is off.
     """
@@ -100,8 +100,8 @@ def _watched() -> Iterator[_Watch]:
 
 
 def _one_thread(kernels: dict[int, Any]) -> Callable[[str], bool]:
-    """Whether a task of that name, one of these kernels', runs on one thread. Code made by LLVM says it in the name; what
-    is made for Vulkan and Metal in the description that the engine writes for programs without Python."""
+    """Function that says of a task of these kernels, by its name, if it runs on one thread. Code made by LLVM says it in the
+    name; what is made for Vulkan and Metal in the description that the engine writes for programs without Python."""
     if backend.has_wide_numbers():  # made by LLVM
         return lambda name: name.endswith("_serial")
     program = running()

@@ -45,8 +45,8 @@ class Row(NamedTuple):
 
 
 def scenes(arch: str, quick: bool) -> dict[str, Callable[[], Ours]]:
-    """What is counted, by name, with the contacts of a device on the CPU, too. Springs are summed there as on the CPU, and
-    implicit methods ask after every part of a solution."""
+    """Runs that are counted, by name, with the contacts of a device on the CPU, too. Springs are summed there as on the CPU,
+    and implicit methods ask after every part of a solution."""
     balls, side, around = (1000, 24, 16) if quick else (100_000, 1024, 316)
     device = {"arch": arch, "driver": "parallel"}
     pile = cases.granular_case(balls)

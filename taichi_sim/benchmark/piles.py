@@ -21,7 +21,7 @@ RIVAL = "pymunk, 10 iterations"
 
 
 class Lie(NamedTuple):
-    """How a pile lies at one moment."""
+    """State of a pile at one moment."""
 
     kinetic: float  # m g r a disc
     largest: float  # r, overlap of two discs
@@ -60,12 +60,12 @@ class PileReport(Report):
         return head, rows
 
     def records(self) -> list[dict[str, Any]]:
-        """With how the pile of each seed lay."""
+        """Rows with the states of the pile of each seed."""
         return [row | {"lies": [lie._asdict() for lie in self.lies[row["name"]]]} for row in super().records()]
 
 
 def _span(values: Sequence[float], form: str) -> str:
-    """From the least to the largest value."""
+    """Range from the least to the largest value, in words."""
     if not values:
         return "-"
     low, high = f"{min(values):{form}}", f"{max(values):{form}}"

@@ -83,7 +83,7 @@ def hanging_report(quick: bool, arch: str = "cpu") -> Report:
 
 
 def real_time_report(quick: bool, arch: str = "cpu") -> Report:
-    """The same cloth for 1/60 s, the time of a frame, by its explicit steps and by implicit ones."""
+    """Report of a hanging cotton cloth for 1/60 s, the time of a frame, by its explicit steps and by implicit ones."""
     n = 32 if quick else 1024
     report = Report(f"real time: {n} x {n} cloth of a material, a frame of 1/{FPS:g} s, f32", ratios=False, samples=2)
     for integrator in ("verlet", "implicit_euler"):

@@ -21,7 +21,7 @@ MASS = 0.3  # kg
 
 
 class Task(NamedTuple):
-    """What is asked, and with how many steps each contestant just does it (found by trying)."""
+    """Task of the contest, and the number of steps with which each contestant just does it (found by trying)."""
 
     stiffness: float  # N/m
     error: float  # m
@@ -115,7 +115,7 @@ class StiffReport(Report):
         return head, rows
 
     def records(self) -> list[dict[str, Any]]:
-        """With what was asked, the error [m] and how many steps; seconds are per simulated second."""
+        """Rows with what was asked, the error [m] and how many steps; seconds are per simulated second."""
         return [
             {**row, "stiffness": task.stiffness, "asked": task.error, "steps": steps, "error": error}
             for row, (task, steps, error) in zip(super().records(), self.details)

@@ -1,4 +1,4 @@
-"""What all commands share: the application, options that several take, a scene with its options, errors of one line."""
+"""Parts that all commands share: the application, options that several take, a scene with its options, errors of one line."""
 
 import functools
 import sys
@@ -112,7 +112,8 @@ class Job:
         return {key: self.options[key] for key in (*SIMULATION, "threads") if self.options.get(key) is not None}
 
     def _made(self) -> Any:
-        """What simulation() of the file returns."""
+        """Return the Simulation that simulation() of the file makes. Raises ValueError where options or its result do not
+        fit."""
         from taichi_sim.device import backend
         from taichi_sim.files.source import open_simulation
 
@@ -151,7 +152,7 @@ def echo(text: str, err: bool = False) -> None:
 
 
 def say_nothing(line: str) -> None:
-    """What --quiet does with what is told on the way."""
+    """Drop a line that would be told on the way, for --quiet."""
 
 
 @contextmanager

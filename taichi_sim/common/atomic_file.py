@@ -196,8 +196,8 @@ def locking(path: Path, refusal: str) -> Iterator[None]:
 
 
 def locked(file: IO[bytes]) -> bool:
-    """Whether the file is ours until it is closed, or this process ends; False where another has it. Where the file system knows
-    no locks all are ours."""
+    """Lock a file until it is closed, or this process ends. True if it is ours; False where another process has it. Where
+    the file system knows no locks all files are ours."""
     return _lock_of(file) is not False
 
 

@@ -1,4 +1,4 @@
-"""What differs between two descriptions of runs, in words."""
+"""Differences between two descriptions of runs, in words."""
 
 import json
 from collections.abc import Collection, Iterator, Mapping

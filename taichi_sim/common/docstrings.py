@@ -1,4 +1,4 @@
-"""What docstrings say about arguments: the one place where these are described serves help(), editors and the docs.
+"""Descriptions of arguments in docstrings: the one place where these are described serves help(), editors and the docs.
 
 The part after `Args:` has entries `name: text` or `name, other: text`, each on a line of its own or after a semicolon or a full
 stop. A unit stands in brackets, `[m/s]`, or first, after the shape: `(n, dim) m, one per ball`; `[1]` marks plain numbers.
@@ -16,7 +16,8 @@ _BRACKETS = re.compile(rf"\[({_UNIT})(?:, in 2D [^\]]*)?\]")
 
 
 def described(doc: str | None, names: Iterable[str]) -> dict[str, str]:
-    """What a docstring says of each of these arguments, as sentences without their full stop; of some perhaps nothing."""
+    """Descriptions of each of these arguments in a docstring, as sentences without their full stop; perhaps not of all of
+    them."""
     _, _, text = inspect.cleandoc(doc or "").partition("Args")
     flat = " ".join(text.partition(":")[2].split("\n\n")[0].split())
     name = "|".join(map(re.escape, names))

@@ -122,7 +122,8 @@ def path_of(place: str | Sequence[str | int]) -> KeyPath:
 
 
 def key_name(path: Sequence[str | int]) -> str:
-    """The reverse; a key that holds lines or control sequences as Python writes it."""
+    """Name of a path as `path_of` takes it: ("springs", 3, "pairs", 12) as `springs[3].pairs[12]`. A key that holds lines or
+    control sequences is written as Python writes it."""
     names = (part if isinstance(part, int) or part.isprintable() else repr(part) for part in path)
     return "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
 

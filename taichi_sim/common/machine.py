@@ -4,7 +4,7 @@ import platform
 
 
 def processor() -> str:
-    """Its name, as the system gives it."""
+    """Name of the processor, as the system gives it."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as file:
             return next(line.split(":", 1)[1].strip() for line in file if line.startswith("model name"))

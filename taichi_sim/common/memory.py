@@ -1,4 +1,4 @@
-"""How much memory this process may still take, and takes."""
+"""Memory that this process may still take, and that it takes."""
 
 import os
 import sys
@@ -38,7 +38,7 @@ def _pages(column: int) -> int:
 
 
 def _process() -> int:
-    """What `ulimit -v` leaves."""
+    """Bytes of address space that `ulimit -v` leaves."""
     try:
         import resource
 

@@ -34,7 +34,7 @@ def require_own(folder: Path, record: str | None = None) -> None:
 
 
 def is_fresh(folder: Path) -> bool:
-    """Whether a folder holds nothing, or what a run leaves that was killed at its start."""
+    """True if a folder holds nothing, or only what a run leaves that was killed at its start."""
     return all(entry.name == LOCK or PART.fullmatch(entry.name) for entry in folder.iterdir())
 
 

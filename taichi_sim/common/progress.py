@@ -187,7 +187,7 @@ def _printer(stream: TextIO) -> "subprocess.Popen[bytes] | None":
 
 
 def _end(printer: "subprocess.Popen[bytes]") -> None:
-    """It ends where its input does, and prints nothing more."""
+    """End the printer: it ends where its input does, and prints nothing more."""
     assert printer.stdin is not None
     with suppress(OSError):
         printer.stdin.close()

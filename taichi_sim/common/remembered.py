@@ -1,4 +1,4 @@
-"""What one process finds out and later ones use: small tables in the user's folder of caches."""
+"""Findings of one process that later ones use: small tables in the user's folder of caches."""
 
 import json
 from typing import Any

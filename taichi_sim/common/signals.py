@@ -80,9 +80,9 @@ def heard() -> None:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Within `insistent_signals` these come as soon as the block is left, and those that were swallowed before it is entered.
-    Processes that are started in it never get SIGINT: a terminal sends it to all processes of a command, and those that work for
-    another one are ended by that."""
+    """Hold interrupts back during the block. Within `insistent_signals` these come as soon as the block is left, and those
+    that were swallowed before it is entered. Processes that are started in it never get SIGINT: a terminal sends it to all
+    processes of a command, and those that work for another one are ended by that."""
     global _held_back
     _come()
     # the mask is not enough: threads that were there before take signals, and the main one hears of it

@@ -42,7 +42,8 @@ MOST_WHOLE = 2**63 - 1
 
 
 def as_array(value: Any) -> NDArray[Any]:
-    """As NumPy makes it; rows of different lengths, of which it makes none, as an array of objects without a shape."""
+    """Array of a value, as NumPy makes it. Rows of different lengths, of which NumPy makes none, give an array of objects
+    without a shape."""
     try:
         return np.asarray(value)
     except ValueError:
@@ -182,7 +183,7 @@ def vector(where: str, value: ArrayLike, dim: int) -> NDArray[np.float64]:
 
 
 def direction(where: str, value: ArrayLike, dim: int) -> NDArray[np.float64]:
-    """The same, not all 0."""
+    """One finite vector as an array of shape (dim,), not all 0. Raises SceneError."""
     array = vector(where, value, dim)
     if not array.any():
         raise SceneError(where, array, "a vector that has a direction")

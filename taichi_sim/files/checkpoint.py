@@ -117,7 +117,8 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
 
 
 def scene_of(about: Mapping[str, Any], arrays: Mapping[str, Any]) -> Scene:
-    """The reverse of `parts_of`. Raises what the parts of a scene raise, and KeyError, TypeError, ... for what is damaged."""
+    """Rebuild a scene from what `parts_of` gave. Raises what the parts of a scene raise, and KeyError, TypeError, ... for
+    what is damaged."""
     scene = Scene(about["dim"], about["gravity"])
     fill(scene, about, arrays)
     scene.output = about["output"]

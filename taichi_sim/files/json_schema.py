@@ -74,7 +74,7 @@ def _plain(value: Any) -> Any:
 
 
 def _holds_numbers(schema: dict[str, Any]) -> bool:
-    """Whether a value may be a number, or a list of them."""
+    """True if a value may be a number, or a list of them."""
     parts = [
         *([schema["items"]] if "items" in schema else []),
         *schema.get("anyOf", ()),

@@ -82,7 +82,7 @@ def put(document: dict[str, Any], path: str, value: Any) -> KeyPath:
 
 
 def _key(node: Any, parts: KeyPath, depth: int) -> str | int:
-    """Where the part at that depth stands in a table or a list."""
+    """Key or index of the part at that depth in a table or a list."""
     part, last = parts[depth], depth == len(parts) - 1
     if isinstance(node, dict) and isinstance(part, str) and (part in node or last or parts[: depth + 1] in SINGLE):
         return part

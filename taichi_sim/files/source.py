@@ -1,4 +1,4 @@
-"""What a user may name as a SCENE: a TOML file, a Python file with scene() or simulation(), or a built-in demo."""
+"""Sources that a user may name as a SCENE: a TOML file, a Python file with scene() or simulation(), or a built-in demo."""
 
 import ast
 import functools
@@ -37,7 +37,7 @@ def demos() -> dict[str, Path]:
 
 
 def built_in(file: Path) -> str:
-    """What a demo says about itself: its leading comment, or the first line of its docstring."""
+    """Description of a demo, from its own file: its leading comment, or the first line of its docstring."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".py":
         return ((ast.get_docstring(ast.parse(text)) or "").splitlines() or [""])[0]
@@ -134,7 +134,7 @@ def checked_output(scene: Scene) -> dict[str, Any]:
 
 
 def open_simulation(file: Path, parameters: Mapping[str, Any] | None = None) -> Any:
-    """What simulation() of a Python file returns. parameters: its arguments."""
+    """Simulation that simulation() of a Python file returns. parameters: its arguments."""
     return _call(file, _module(file), "simulation", **(parameters or {}))
 
 

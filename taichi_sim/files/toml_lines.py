@@ -1,4 +1,4 @@
-"""Where in a TOML text a key stands: a look-up for messages, right for the usual ways to write a scene file."""
+"""Lines of keys in a TOML text: a look-up for messages, right for the usual ways to write a scene file."""
 
 import re
 from collections.abc import Iterator, Sequence

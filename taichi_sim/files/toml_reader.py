@@ -93,7 +93,8 @@ def parsed(file: Path) -> tuple[str, dict[str, Any]]:
 
 
 def nested(document: Any) -> KeyPath | None:
-    """Where lists and tables lie within each other, more than MOST_NESTED deep; None where they do not."""
+    """Path, cut to MOST_NESTED keys, of lists and tables that lie within each other more than MOST_NESTED deep; None where
+    there are none."""
     deep: list[tuple[KeyPath, Any]] = [((), document)]
     while deep:
         path, value = deep.pop()
@@ -194,7 +195,7 @@ class Reader:
                         raise SceneError("table.name", says="is not allowed; what this table adds is no shape")
 
     def _arguments(self, scene: Scene, part: Part, table: "BaseModel") -> dict[str, Any]:
-        """What a table of a part says, with the scene's numbers of balls, and files beside the scene's."""
+        """Arguments from a table of a part, with the scene's numbers of balls, and with files found beside the scene's."""
         arguments = self._with_arrays(part, table)
         if part.counted:
             group = arguments.pop("balls", None)
@@ -447,8 +448,8 @@ def _known(document: Any, path: Sequence[str | int]) -> tuple[KeyPath, Any]:
 
 
 def _within_table(path: KeyPath, place: KeyPath) -> KeyPath:
-    """What follows the name that a function gives to what it checks, and its number there: `size` of `colliders[2].size`, (2,) of
-    no table."""
+    """Path of an error without the name that a function gives to what it checks, and without its number there: `size` of
+    `colliders[2].size`, (2,) of no table."""
     if not place or (len(path) == 1 and path[0] != place[0]):
         return path
     return path[2:] if len(path) > 1 and isinstance(path[1], int) else path[1:]

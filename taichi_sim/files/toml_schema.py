@@ -82,7 +82,7 @@ ALIASES = {"color": "colour", "color_range": "colour_range"}  # other spellings 
 
 
 class Strict(BaseModel):
-    """No unknown keys, no conversion of one type into another."""
+    """Base of the tables: no unknown keys, no conversion of one type into another."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -149,7 +149,7 @@ def _typed(annotation: Any) -> Any:
 
 
 def _is_known(annotation: Any) -> bool:
-    """Whether pydantic can judge a type: without described tables, which it takes from Python 3.12 on only."""
+    """True if pydantic can judge a type: without described tables, which it takes from Python 3.12 on only."""
     if _has_tables(annotation):
         return False
     try:
@@ -188,7 +188,7 @@ def _schema(annotation: Any) -> dict[str, Any]:
 
 
 def _is_array(annotation: Any) -> bool:
-    """Whether a type is NumPy's of arrays, which has a name of its own from NumPy 2.5 on."""
+    """True if a type is NumPy's of arrays, which has a name of its own from NumPy 2.5 on."""
     return annotation is NDArray or get_origin(annotation) in (np.ndarray, NDArray)
 
 
@@ -226,7 +226,7 @@ def _arguments(name: str, function: Callable[..., Any], in_file: Iterable[str] =
 
 
 def _says(function: Any, names: Sequence[str]) -> dict[str, str]:
-    """What the docstring of a function, or those of a class and its bases, say of arguments."""
+    """Descriptions of arguments, by name, from the docstring of a function, or those of a class and its bases."""
     says: dict[str, str] = {}
     for one in reversed(inspect.getmro(function)) if inspect.isclass(function) else (function,):
         says |= described(one.__doc__, names)
@@ -386,7 +386,7 @@ ALLOWED = {  # by the types of pydantic's errors, filled in from their context
 
 
 def what_is_allowed(problem: Mapping[str, Any]) -> str:
-    """What a value must be, of one of the errors of pydantic's ValidationError."""
+    """Words for what a value must be, from one of the errors of pydantic's ValidationError."""
     words = ALLOWED.get(problem["type"])
     context = {k: int(v) if isinstance(v, float) and v.is_integer() else v for k, v in problem.get("ctx", {}).items()}
     return str(problem["msg"]) if words is None else words.format(**context)

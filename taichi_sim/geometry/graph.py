@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 
 def components(count: int, edges: NDArray[np.integer]) -> NDArray[np.int64]:
-    """For each of `count` nodes the lowest index that edges (m, 2) connect it to, over any number of them."""
+    """Lowest index to which edges (m, 2) connect each of `count` nodes, over any number of them."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -17,7 +17,7 @@ def components(count: int, edges: NDArray[np.integer]) -> NDArray[np.int64]:
 
 
 def incidence(pairs: NDArray[np.integer], n: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
-    """For each of n nodes its edges: start (n + 1), other end (2 m), edge index (2 m), sorted by the other end."""
+    """Edges of each of n nodes: start (n + 1), other end (2 m), edge index (2 m), sorted by the other end."""
     here = np.concatenate([pairs[:, 0], pairs[:, 1]])
     other = np.concatenate([pairs[:, 1], pairs[:, 0]])
     edge = np.tile(np.arange(len(pairs)), 2)
@@ -28,8 +28,8 @@ def incidence(pairs: NDArray[np.integer], n: int) -> tuple[NDArray[np.int32], ND
 
 
 def sliced(start: NDArray[np.int32], width: int) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
-    """Where entries lie when the lists start[i] to start[i + 1] of `width` nodes are stored together: their first entries, then
-    their second ones, and so on, as many as the longest of them has (sliced ELLPACK, Monakov et al. 2010).
+    """Places of entries when the lists start[i] to start[i + 1] of `width` nodes are stored together: their first entries,
+    then their second ones, and so on, as many as the longest of them has (sliced ELLPACK, Monakov et al. 2010).
 
     Returns where each slice begins (slices), the place of each entry, and how many places there are.
     """

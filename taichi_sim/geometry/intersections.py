@@ -36,7 +36,7 @@ def _volume(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
 
 
 def _pierces(p: NDArray, q: NDArray, a: NDArray, b: NDArray, c: NDArray) -> NDArray[np.bool_]:
-    """Whether segments p q go through triangles a b c: their ends on different sides, their line through the inside."""
+    """True where segments p q go through triangles a b c: their ends on different sides, their line through the inside."""
     sides = _volume(a, b, c, p) * _volume(a, b, c, q) < 0
     one, two, three = _volume(p, q, a, b), _volume(p, q, b, c), _volume(p, q, c, a)
     return sides & (((one > 0) & (two > 0) & (three > 0)) | ((one < 0) & (two < 0) & (three < 0)))

@@ -228,8 +228,8 @@ def holes(triangles: NDArray) -> NDArray[np.int32]:
 
 
 def flaws(surface: Surface, *, closed: bool = True) -> list[str]:
-    """What keeps a mesh from having an inside, one phrase for each kind, with the first few places [m]; none: it is whole.
-    Not `closed`: what keeps it from being a sheet, which may have a border and two sides that look alike."""
+    """Flaws that keep a mesh from having an inside, one phrase for each kind, with the first few places [m]; none: it is
+    whole. Not `closed`: those that keep it from being a sheet, which may have a border and two sides that look alike."""
     t, x = surface.triangles, surface.vertices
     if not len(t):
         return ["it has no triangle"]
@@ -271,7 +271,7 @@ def _listed(first: list[str], which: NDArray) -> str:
 
 
 def volume(surface: Surface) -> float:
-    """What a closed mesh encloses [m^3]; negative where its triangles face inward."""
+    """Volume that a closed mesh encloses [m^3]; negative where its triangles face inward."""
     origin = surface.vertices.mean(axis=0)  # of a mesh far out the products would cancel
     a, b, c = (surface.vertices[surface.triangles[:, k]] - origin for k in range(3))
     return float(np.sum(a * np.cross(b, c))) / 6.0
@@ -308,7 +308,8 @@ def mesh_distance(surface: Surface, points: NDArray, far: float = np.inf) -> NDA
 
 
 def area_distance(area: Surface, points: NDArray) -> NDArray[np.float64]:
-    """The same of points (n, 2) from the area in 2D that triangles fill: every edge that belongs to one of them only."""
+    """Signed distance (n,) [m] of points (n, 2) from the area in 2D that triangles fill, negative inside. Its border is
+    every edge that belongs to one of them only."""
     edges = Edges.of(area.triangles)
     a, b = (area.vertices[edges.ends[edges.triangles == 1, k]][None] for k in range(2))
     p, e = points[:, None], b - a

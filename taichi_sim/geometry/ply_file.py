@@ -152,7 +152,7 @@ class _Rows:
         raise NotImplementedError
 
     def length(self, name: str, column: Property) -> int:
-        """How many values the column has in this row."""
+        """Number of values that the column has in this row."""
         return int(_whole(self.read(name, column.length, 1))[0]) if column.length else 1
 
     def alike(self, name: str, number: int, columns: list[Property]) -> dict[str, Column] | None:

@@ -1,4 +1,4 @@
-"""Where frames go: one output per file. `open_output` picks one by the ending of a name."""
+"""Outputs of frames: one output per file. `open_output` picks one by the ending of a name."""
 
 import os
 from collections.abc import Sequence

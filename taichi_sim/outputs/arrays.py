@@ -23,7 +23,7 @@ SCENE = "scene/"  # what the names of the arrays of the scene begin with
 
 
 def constants_of(first: Frame | None) -> dict[str, NDArray[Any]]:
-    """What all frames share with the first, by name."""
+    """Arrays, by name, that all frames share with the first; none without a first frame."""
     if first is None:
         return {}
     number, names = named(len(first.position), first.objects)
@@ -111,7 +111,7 @@ class Arrays(Deferred):
 
 
 def _rows(frame: Frame) -> Iterator[tuple[str, NDArray]]:
-    """What the columns have of a frame, by their names."""
+    """Values of a frame in each column, with the column's name; nan where the frame does not know them."""
     now, nan = frame.contacts, np.nan
     yield "time", np.asarray(frame.time)
     yield "position", frame.position

@@ -1,4 +1,4 @@
-"""What an output is. A user-defined one is a class with these members, in any file; pass the object to `export`:
+"""Interface of outputs. A user-defined output is a class with these members, in any file; pass the object to `export`:
 
     class Heights(ts.Output):
         needs_image = False

@@ -42,7 +42,7 @@ class Checkpoints:
 
     @property
     def due(self) -> bool:
-        """Whether it is time for one."""
+        """True if it is time for a checkpoint."""
         return time.perf_counter() >= self._next
 
     def make(self, frame: int, simulation: Any, own: Mapping[str, Any]) -> bool:
@@ -105,8 +105,8 @@ def shared_checkpoint(
 def run_of(
     simulation: Any, first: Frame, fps: float, size: tuple[int, int], style: Mapping[str, Any], fitted: float | None
 ) -> Any:
-    """What decides the frames of a run, as plain values by their names in groups; first: the frame that it begins with; fitted:
-    the duration [s] that the camera is fitted to, where it is."""
+    """Settings that decide the frames of a run, as plain values by their names in groups; first: the frame that it begins
+    with; fitted: the duration [s] that the camera is fitted to, where it is."""
     settings = {one.name: getattr(simulation.settings, one.name) for one in fields(simulation.settings)}
     settings = {name: value for name, value in settings.items() if name not in SAME_BITS}
     backend, package = simulation.backend, import_module("taichi_sim")  # by name: it imports this
@@ -136,7 +136,7 @@ def restored(simulation: Any, checkpoint: Checkpoint) -> Iterator[Any]:
 
 
 def frames_from(first: int, simulation: Any, fps: float, duration: float) -> Iterator[Frame]:
-    """What `Simulation.frames` gives, from frame `first` on, of a simulation that is at the one before."""
+    """Yield the frames that `Simulation.frames` gives, from frame `first` on, of a simulation that is at the one before."""
     for k in range(first, frame_count(fps, duration)):
         simulation.step(round(k / fps / simulation.dt) - round((k - 1) / fps / simulation.dt))
         yield simulation.frame()

@@ -106,7 +106,7 @@ class Companion:
 
 
 def _order(simulation: Any) -> float:
-    """Of the method in this scene."""
+    """Order of convergence of the method in this scene, at least 1."""
     smooth = not simulation.parts.contacts.active and not np.isfinite(simulation.scene.break_strain).any()
     order = simulation.settings.integrator.method.order if smooth else 1
     return order if order > 0 else 1

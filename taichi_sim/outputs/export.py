@@ -1,4 +1,4 @@
-"""From a simulation to an output: the loop over frames, its progress bar and its summary."""
+"""Export of a simulation to an output: the loop over frames, its progress bar and its summary."""
 
 import time
 from base64 import b64encode
@@ -38,7 +38,7 @@ MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 @dataclass(slots=True)
 class Summary:
-    """What a run did. Energies in J (kinetic, spring, gravity, total), momentum in kg m/s, times in s."""
+    """Summary of a run. Energies in J (kinetic, spring, gravity, total), momentum in kg m/s, times in s."""
 
     frames: int = 0
     steady: int = 0  # of them, after what `starting` counts
@@ -82,7 +82,7 @@ class Summary:
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> "Summary":
-        """What `asdict` made, through JSON."""
+        """Rebuild a summary from what `asdict` made, through JSON."""
         one = cls(**plain)
         one.contacts = None if one.contacts is None else Contacts(*one.contacts)
         one.energy_start = tuple(one.energy_start)
@@ -93,11 +93,11 @@ class Summary:
         return one
 
     def _repr_html_(self) -> str:
-        """For notebooks: the video, if it is there and small enough to be kept in one, and the summary in words."""
+        """HTML for notebooks: the video, if it is there and small enough to be kept in one, and the summary in words."""
         return f"{_shown(Path(self.video))}<pre>{escape(chr(10).join(self.lines()))}</pre>"
 
     def _seen(self, scales: Scales) -> Scales:
-        """With the start and the end, which samples between steps may miss."""
+        """Scales that include the energies at the start and the end, which samples between steps may miss."""
         ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
         return scales._replace(motion=max(scales.motion, *ends))
 
@@ -183,7 +183,7 @@ class Summary:
         return lines
 
     def _readings(self) -> Iterator[str]:
-        """What probes read, and how well that is known."""
+        """Lines on what probes read, and on how well that is known."""
         found = self.step_error
         off = {} if found is None else found.probes
         source = f" ({STEP})" if off else ""
@@ -482,13 +482,13 @@ def _left_out(simulation: Any) -> Iterator[str]:
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:
-    """What an export goes on from, beside the simulation and what is written."""
+    """State from which an export goes on, beside the simulation and what is written, as plain values."""
     drawn = None if renderer is None else renderer.memory()
     return {"summary": asdict(summary), "renderer": drawn}
 
 
 def _recall(last: Checkpoint, renderer: Any) -> Summary:
-    """The reverse."""
+    """Restore the renderer from the state that `_own` gave, and return the summary. Raises SceneError where it is damaged."""
     if renderer is not None:
         with judged(last.state.with_name(CHECKPOINT)):
             renderer.recall(last.own["renderer"])
@@ -558,7 +558,7 @@ class _Frames(Work):
         self.words = lambda: waiting(time.monotonic() - start)
 
     def advance(self, done: int, simulated: float) -> None:
-        """So many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""
+        """Note that so many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""
         self.done = done
         if self._before is None:
             self.begin(self.what)

@@ -44,8 +44,8 @@ WHY = {"duration": ": the camera is fitted to the whole run"}  # what differs is
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a run can go on. frame: the first that is to come. state: the file of the simulation at the one before. own: what
-    else goes on, plain values."""
+    """State from which a run can go on. frame: the first that is to come. state: the file of the simulation at the one
+    before. own: what else goes on, plain values."""
 
     frame: int
     state: Path

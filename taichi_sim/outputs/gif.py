@@ -31,7 +31,7 @@ class Gif(Deferred):
         self._count = 0  # of frames that were asked for, shown or left out
 
     def wants(self, index: int) -> bool:
-        """Whether this frame is not too close to the last one that is shown."""
+        """True if this frame is not too close to the last one that is shown."""
         if index >= self._count:
             self._count = index + 1
         if not self._shown or index > self._shown[-1]:
@@ -61,7 +61,7 @@ class Gif(Deferred):
         super().finish()
 
     def _reduced(self, picture: Any) -> Any:
-        """To 256 colours."""
+        """Picture with 256 colours."""
         from PIL import Image as Pictures
 
         return picture.quantize(256, dither=Pictures.Dither.NONE)

@@ -9,8 +9,9 @@ from taichi_sim.outputs.base import FileOutput, Image, require_there
 
 
 class Growing(FileOutput):
-    """It lies under its final name from the first frame on, in place of what was there, so that other programs can read it while
-    the run goes on. What was written before an error, Ctrl-C or a kill stays. resume: go on from the last checkpoint."""
+    """Output that lies under its final name from the first frame on, in place of what was there, so that other programs can
+    read it while the run goes on. What was written before an error, Ctrl-C or a kill stays. resume: go on from the last
+    checkpoint."""
 
     needs_image = False
     _file: Any = None  # open for more

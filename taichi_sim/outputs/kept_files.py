@@ -1,4 +1,4 @@
-"""What an unfinished output keeps beside itself: files that are whole or not there, and know when they were changed since."""
+"""Files that an unfinished output keeps beside itself: they are whole or not there, and know when they were changed since."""
 
 import json
 import shutil
@@ -28,7 +28,7 @@ def write_kept(path: Path, value: Any) -> None:
 
 
 def read_kept(path: Path) -> dict[str, Any]:
-    """The reverse. Raises SceneError, see `judged`, where the file is damaged or was edited."""
+    """Read the values that `write_kept` wrote. Raises SceneError, see `judged`, where the file is damaged or was edited."""
     with judged(path):
         found = json.loads(path.read_bytes())
         kept = found["kept"]
@@ -54,7 +54,7 @@ def copied(source: Path, path: Path) -> None:
 
 @contextmanager
 def judged(path: Path) -> Iterator[None]:
-    """What the block finds wrong with a file of an unfinished output becomes one SceneError, which says what to do."""
+    """Turn an error of the block about a file of an unfinished output into one SceneError, which says what to do."""
     try:
         yield
     except ODD as error:

@@ -51,7 +51,7 @@ class Surface:
     smooth: NDArray[np.int64]  # (v,) the first vertex of each ball, for normals across seams
 
     def points(self, x: Floats) -> Floats:
-        """Its vertices (v, 3) for balls at x (n, 3)."""
+        """Vertices (v, 3) [m] of the surface for balls at x (n, 3) [m]."""
         if self.corners.shape[1] == 1:
             return x[self.corners[:, 0]]
         return np.einsum("vk,vki->vi", self.weights, x[self.corners])
@@ -73,7 +73,7 @@ class Body:
 
 
 class Parts:
-    """What the frames of one scene have in common, from the first of them.
+    """Properties that the frames of one scene have in common, from the first of them.
 
     number (n,): of the object that each ball belongs to, by which `names` count. A ball is hidden where a surface is shown in
     place of it, or it is a corner of one, or within the closed one of its object; the others are loose. colour (n, 3): sRGB of
@@ -153,7 +153,7 @@ class Parts:
         return np.reshape(known, (-1, 3)).astype(np.int32)
 
     def triangles(self, frame: Frame) -> list[NDArray[np.int32]]:
-        """Of each surface (t, 3), its vertices, counter-clockwise from outside; fewer where springs have torn."""
+        """Triangles (t, 3) of each surface, by its vertices, counter-clockwise from outside; fewer where springs have torn."""
         if self._faces[0] is not frame.triangles:
             own = frame.triangles.reshape(-1, 3)
             own = own[self._shown[own].all(axis=1)]
@@ -212,7 +212,7 @@ def textures_of(style: Mapping[str, Any], folder: Path) -> Textures:
 
 
 def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
-    """Where the colliders of a frame are: centre (3,) [m] and rotation (3, 3)."""
+    """Places of the colliders of a frame: centre (3,) [m] and rotation (3, 3)."""
     found = []
     for one in frame.colliders:
         rotation = np.eye(3)
@@ -248,7 +248,7 @@ def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
 
 
 def _normals(one: Collider, vertices: Floats, triangles: NDArray) -> Floats:
-    """Of its vertices; smooth ones of what is round."""
+    """Normals of a collider at its vertices; smooth ones of what is round."""
     if one.kind != ROUND or len(one.half) == 2:
         return normals_of(vertices, triangles)
     return (vertices - np.clip(vertices, -one.half, one.half)) / one.radius

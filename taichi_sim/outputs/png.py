@@ -72,7 +72,7 @@ class PngFolder(Output):
         return sum(_FRAME.fullmatch(entry.name) is not None for entry in self.path.iterdir())
 
     def wants(self, index: int) -> bool:
-        """Whether the frame is not there yet."""
+        """True if the frame is not there yet."""
         self._count = index + 1
         return self._name(index) not in self._there
 

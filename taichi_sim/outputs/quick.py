@@ -1,4 +1,4 @@
-"""From Python to a video or a picture in one call."""
+"""Videos and pictures from Python in one call."""
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext

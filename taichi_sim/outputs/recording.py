@@ -126,7 +126,7 @@ def require_drawable(scene: Scene) -> None:
 
 
 def _contacts(row: Mapping[str, NDArray]) -> Contacts | None:
-    """What is recorded of the contacts of a moment, the rest nan; None where the run did not know them."""
+    """Recorded values of the contacts of a moment, the rest nan; None where the run did not know them."""
     if np.isnan(row["contacts"]):
         return None
     largest, mean = row["penetration"].tolist()

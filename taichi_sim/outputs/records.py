@@ -56,7 +56,7 @@ class Records:
         return self.number
 
     def __iter__(self) -> Iterator[bytes]:
-        """Those that there are when it begins."""
+        """Yield the records that there are when it begins."""
         if number := self.number:
             with open(self.path, "rb") as file:
                 file.seek(len(FIRST))

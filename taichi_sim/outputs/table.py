@@ -40,7 +40,7 @@ class Table(Growing):
 
 
 class PipedTable(Output):
-    """The same rows into a pipe that another program reads, from the first one on; the run waits for that program."""
+    """Rows of `Table` into a pipe that another program reads, from the first one on; the run waits for that program."""
 
     needs_image = False
 

@@ -76,5 +76,5 @@ class Trajectory(Growing):
 
 
 def _plain(name: str) -> str:
-    """As the format has names: in ASCII."""
+    """Name in ASCII, as the format has names."""
     return name.encode("ascii", "replace").decode()

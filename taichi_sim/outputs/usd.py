@@ -72,7 +72,8 @@ class Usd(Deferred):
         super().finish()
 
     def _changes(self, frame: Frame) -> dict[str, Any]:
-        """What a frame has that others have not."""
+        """Arrays of a frame by name, those that change from frame to frame; springs and triangles only where something has
+        torn."""
         first = self.log.first
         now: dict[str, Any] = {"position": frame.position.astype(np.float32), "time": np.array(frame.time)}
         for name in ("springs", "triangles"):

@@ -350,7 +350,7 @@ def _box(points: NDArray) -> NDArray:
 
 
 def _matrix(rows: NDArray, place: NDArray) -> NDArray[np.float64]:
-    """What moves row vectors: (4, 4), from the images of the axes, one to a row, and of the origin."""
+    """Matrix (4, 4) that moves row vectors, from the images of the axes, one to a row, and of the origin."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[3, :3] = rows, place
     return matrix

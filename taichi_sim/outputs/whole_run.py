@@ -14,7 +14,7 @@ MOST_KEPT = 4_000_000  # balls of all frames together: some 400 MB
 
 
 def is_drawn_last(scene: Scene, count: int, style: Mapping[str, Any]) -> bool:
-    """Whether pictures in this style have a camera that is to show all of a run of `count` frames, and these can be kept."""
+    """True if pictures in this style have a camera that is to show all of a run of `count` frames, and these can be kept."""
     path = style.get("camera") or CameraPath()
     if isinstance(path, Mapping):
         path = CameraPath.of(path, scene.dim, scene.n_balls)

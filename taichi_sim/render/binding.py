@@ -42,7 +42,8 @@ class Binding:
     def finer(
         cls, surfaces: Sequence[EmbeddedSurface], triangles: NDArray, n: int, times: int
     ) -> "tuple[NDArray, Binding]":
-        """The same for surfaces subdivided so many times; then all triangles are of vertices that follow balls."""
+        """Triangles and binding, as `of` gives them, of surfaces that are subdivided `times` times. All triangles are then
+        of vertices that follow balls."""
         faces, base = cls.of(surfaces, triangles, n)
         if not times or not len(faces):
             return faces, base

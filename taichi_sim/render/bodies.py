@@ -27,7 +27,7 @@ class Bodies(NamedTuple):
 
     @classmethod
     def of(cls, frame: Frame, around: int = FACES_AROUND, crease: float = CREASE) -> "Bodies":
-        """What the colliders of a 3D frame look like; around: faces of a round one about its axis, a multiple of 4; crease:
+        """Surfaces of the colliders of a 3D frame. around: faces of a round one about its axis, a multiple of 4; crease:
         degrees between triangles of a mesh, from which their edge is sharp."""
         parts = [_surface(placed.collider, around, crease) for placed in frame.colliders]
         sizes = [len(vertices) for vertices, _ in parts]

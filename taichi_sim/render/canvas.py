@@ -21,7 +21,7 @@ SHADOW_SIDE = {1: 1024, 4: 1536}  # texels, by samples per pixel
 
 @ti.data_oriented
 class Visibility:
-    """What lies nearest at each of some samples of a picture's pixels; see the kernels of this name."""
+    """Buffer of what lies nearest at each of some samples of a picture's pixels; see the kernels of this name."""
 
     def __init__(self, fields: Fields, size: tuple[int, int], samples: int, depth_only: bool = False) -> None:
         n = size[0] * size[1] * samples
@@ -46,7 +46,7 @@ class Visibility:
             yield
 
     def clear(self, width: int, height: int) -> None:
-        """Nothing is seen in the next picture, of this size."""
+        """Clear the buffer for a next picture, of this size."""
         visibility.clear(self, self.samples, *self._size, tiles(*self._size))
         self._size = (width, height)
 
@@ -60,7 +60,8 @@ class Planes(NamedTuple):
 
 
 class Canvas:
-    """What is seen in the picture and in the shadow map, what lies behind all, colours, and the sky that each pixel sees."""
+    """Buffers of a picture: what is seen in it and in the shadow map, what lies behind all, colours, and the sky that each
+    pixel sees."""
 
     def __init__(
         self,
@@ -109,7 +110,8 @@ class Canvas:
         self._placed: Any = None
 
     def scene(self, buffers: Any) -> Any:
-        """The same object for the same buffers, or kernels would compile again."""
+        """Buffers and canvas in one object for the kernels. It stays one object for the same buffers, or kernels would
+        compile again."""
         if self._scene is None or self._scene[0] is not buffers:
             self._scene = (buffers, _Scene(buffers, self))
         return self._scene[1]
@@ -124,7 +126,7 @@ class Canvas:
         eye: NDArray,
         look: NDArray,
     ) -> None:
-        """What lies behind everything, painted where it is not the same as in the picture before."""
+        """Paint what lies behind everything, where it is not as in the picture before."""
         known = (size, *(matrix.tobytes() for matrix in (view, *planes[:2], eye, look)))
         given = (matrix_of(view), matrix_of(planes.normals), matrix_of(planes.on_screen), planes.number)
         if known != self._painted:
@@ -146,7 +148,7 @@ class Canvas:
 
 
 def tiles(width: int, height: int) -> int:
-    """How many tiles cover a picture."""
+    """Number of tiles that cover a picture."""
     return -(-width // TILE) * -(-height // TILE)
 
 
@@ -164,7 +166,7 @@ def finished(packed: Any, transparent: bool, width: int, height: int) -> NDArray
 
 
 class _Scene:
-    """What the shading kernels see of Buffers and Canvas."""
+    """Members of Buffers and Canvas that the shading kernels see."""
 
     def __init__(self, buffers: Any, canvas: "Canvas") -> None:
         for owner in (buffers, canvas):

@@ -49,7 +49,8 @@ class Colouring:
 
     @classmethod
     def of(cls, frame: Frame, colour: Any, colour_range: Any) -> "Colouring | None":
-        """From the arguments of a Renderer and the first frame; None: each object its own colour. Raises ValueError.
+        """Make a colouring from the arguments of a Renderer and the first frame; None: each object its own colour. Raises
+        ValueError.
 
         Without a range strain goes from 0 to 0.1; speed to that of the fastest balls of the first frame, or to what a fall
         through half the scene gives, whichever is more. No later frame changes it.
@@ -70,7 +71,7 @@ class Colouring:
         return None if colour == "object" else cls(colour, low, high)
 
     def values(self, frame: Frame) -> NDArray[np.float64]:
-        """For each ball (n,) its place on the scale, from 0 to 1."""
+        """Places (n,) of the balls on the scale, from 0 to 1."""
         n = len(frame.position)
         if self.quantity == "speed":
             value = np.sqrt(np.einsum("nd,nd->n", frame.velocity, frame.velocity))

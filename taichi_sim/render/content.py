@@ -1,4 +1,4 @@
-"""What of a frame is drawn: which balls as spheres or discs, which springs as rods, which surfaces, and in which colour."""
+"""Choice of what is drawn of a frame: balls as spheres or discs, springs as rods, surfaces, and their colours."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,7 +105,7 @@ class Content:
         )
 
     def matches(self, frame: Frame) -> bool:
-        """Whether a frame has what this was made from; frames of one simulation share the very arrays."""
+        """True if a frame has what this was made from; frames of one simulation share the very arrays."""
         if self.colliders != _colliders(frame) or self.embedded_surfaces != frame.embedded_surfaces:
             return False
         if self.objects != frame.objects:
@@ -135,7 +135,8 @@ def enclosed(frame: Frame) -> NDArray[np.bool_]:
 def _smoothing(
     frame: Frame, triangles: NDArray, binding: Binding, bodies: Bodies, crease: float, x: NDArray
 ) -> Smoothing:
-    """Of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp edges."""
+    """Smoothing of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp
+    edges."""
     flat = np.zeros(len(x) + len(binding), dtype=bool)
     for one in frame.objects:
         flat[one.balls] = one.is_sheet

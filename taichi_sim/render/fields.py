@@ -58,7 +58,7 @@ class Buffers:
         self._radius = np.zeros(self.balls, dtype=np.float32)
 
     def holds(self, content: Content) -> bool:
-        """Whether this content fits and draws the same kinds of things."""
+        """True if this content fits and draws the kinds of things that the buffers are for."""
         sizes = _sizes(content)
         fits = all(0 < now <= capacity or now == capacity for now, capacity in zip(sizes[1:3], self.capacity[1:3]))
         same = (sizes[0], *sizes[3:]) == (self.capacity[0], *self.capacity[3:])

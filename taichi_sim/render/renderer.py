@@ -21,7 +21,7 @@ MOST_SHOWN = 60  # frames that a camera is fitted to, evenly spread over all
 
 
 def evenly(number: int) -> set[int]:
-    """Which of so many frames a camera is fitted to that is to show all."""
+    """Numbers of the frames, evenly spaced among so many, to which a camera is fitted that is to show all of them."""
     return {k * (number - 1) // (MOST_SHOWN - 1) for k in range(MOST_SHOWN)}
 
 
@@ -91,7 +91,7 @@ class Renderer:
 
     @property
     def camera(self) -> Any:
-        """Where pictures are seen from: a Camera in 3D, a Flat in 2D. Once replaced, it stays, whatever a CameraPath says."""
+        """Camera of the pictures: a Camera in 3D, a Flat in 2D. Once replaced, it stays, whatever a CameraPath says."""
         return self._painter.camera
 
     @camera.setter
@@ -113,7 +113,7 @@ class Renderer:
         self._open().skip(frame)
 
     def memory(self) -> dict[str, Any]:
-        """What pictures follow from beside their frame and the first one, as plain values for `recall`."""
+        """State from which pictures follow, beside their frame and the first one, as plain values for `recall`."""
         return self._open().memory()
 
     def recall(self, memory: Mapping[str, Any]) -> None:

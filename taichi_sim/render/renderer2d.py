@@ -40,7 +40,8 @@ THINNEST = {"disc": 0.6, "spring": 0.65, "stick": 1.4, "outline": 0.8}  # px
 
 
 class Renderer2D:
-    """See `Renderer`. The view is placed by the first frame and stays, but for what a CameraPath says."""
+    """Renderer of 2D frames, see `Renderer`. The view is placed by the first frame and stays, but for what a CameraPath
+    says."""
 
     def __init__(
         self,
@@ -252,7 +253,7 @@ class Renderer2D:
 
 
 class Canvas:
-    """What the kernel reads and writes: fields of shapes, walls and bodies, at least one of each, and the picture."""
+    """Fields that the kernel reads and writes: shapes, walls and bodies, at least one of each, and the picture."""
 
     def __init__(self, shapes: int, walls: int, bodies: int, pixels: int, transparent: bool) -> None:
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())

@@ -30,7 +30,8 @@ IN_SIGHT = 0.4  # of the camera's distance from its target: colliders so near to
 
 
 class Renderer3D:
-    """See `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32 suffices."""
+    """Renderer of 3D frames, see `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32
+    suffices."""
 
     def __init__(
         self,
@@ -208,8 +209,8 @@ class Renderer3D:
             raster.draw_triangles(b.ball, b.corner, *styles, seen, samples, v, width, height, b.triangles)
 
     def _extent(self, frame: Frame, most: float) -> Bounds:
-        """What shadows are for: the balls and the colliders near them or in sight, at most so far [m] from the camera's target,
-        beyond which a ball that was flung away would leave no detail to all others' shadows."""
+        """Bounds of what shadows are made for: the balls, and the colliders near them or in sight. They reach at most `most`
+        [m] from the camera's target: a ball flung away farther would leave no detail to all others' shadows."""
         step = max(1, len(frame.position) // 4096)
         bounds = robust_bounds(frame.position[::step], frame.radius[::step])[0]
         near = near_boxes(frame, bounds, IN_SIGHT * self._distance)
@@ -221,12 +222,13 @@ class Renderer3D:
 
     @property
     def _distance(self) -> float:
-        """Of the camera from its target [m]."""
+        """Distance of the camera from its target [m]."""
         return float(np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)))
 
     @property
     def _sight(self) -> float:
-        """How far from the camera's target shadows reach [m]: as the camera is, but no less than the scene at its start."""
+        """Distance [m] from the camera's target to which shadows reach: that of the camera, but no less than the size of the
+        scene at its start."""
         return max(self._distance, self._unit)
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:

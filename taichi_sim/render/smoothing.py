@@ -14,9 +14,9 @@ CREASE = 40.0  # degrees between triangles, from which their edge is sharp
 
 
 class Smoothing(NamedTuple):
-    """How t triangles are shaded: for each corner the number of its normal (t, 3), which corners that meet at a vertex share as
-    far as no sharp edge parts them; the smooth part (t,) that a triangle belongs to, up to its sharp edges; and whether it is
-    of a sheet (t,), a surface with a border, of which both sides are seen."""
+    """Shading of t triangles. normal_of (t, 3): number of the normal at each corner, which corners that meet at a vertex
+    share unless a sharp edge parts them. part (t,): number of the smooth part, bounded by sharp edges, that a triangle
+    belongs to. sheet (t,): it is of a surface with a border, of which both sides are seen."""
 
     normal_of: NDArray[np.int32]
     part: NDArray[np.int32]
@@ -24,8 +24,8 @@ class Smoothing(NamedTuple):
 
     @classmethod
     def of(cls, points: NDArray, triangles: NDArray, crease: float, soft: NDArray | None = None) -> "Smoothing":
-        """Of triangles (t, 3) of points (v, 3); edges are sharp where the two triangles are more than `crease` degrees
-        apart, unless they are `soft` (t,), and where they are not two, wound alike."""
+        """Smoothing of triangles (t, 3) of points (v, 3); edges are sharp where the two triangles are more than `crease`
+        degrees apart, unless they are `soft` (t,), and where they are not two, wound alike."""
         t = len(triangles)
         if t == 0:
             return cls(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, bool))
@@ -55,15 +55,15 @@ class Smoothing(NamedTuple):
 
     @property
     def normals(self) -> int:
-        """How many there are."""
+        """Number of normals."""
         return int(self.normal_of.max(initial=-1)) + 1
 
     def closed(self) -> "Smoothing":
-        """The same of what has no border, though its vertices are doubled along sharp edges."""
+        """Return a copy without sheets: for a surface without a border, though its vertices are doubled along sharp edges."""
         return self._replace(sheet=np.zeros_like(self.sheet))
 
     def joined(self, other: "Smoothing") -> "Smoothing":
-        """This and another one, whose triangles follow."""
+        """Join this one and another one, whose triangles follow."""
         return Smoothing(
             np.concatenate([self.normal_of, other.normal_of + self.normals]).astype(np.int32),
             np.concatenate([self.part, other.part + len(self.part)]).astype(np.int32),

@@ -44,9 +44,9 @@ class Styles(NamedTuple):
         rest: NDArray,
         uv: NDArray,
     ) -> "Styles":
-        """Of triangles (t, 3) of balls and what is bound to them, and of bodies; sheet: those of a sheet; rest (n, 3) [m]: where
-        the balls show how patterns lie in what has no places on a texture of its own; uv (t, 3, 2): such places of corners, or
-        nan."""
+        """Styles of triangles (t, 3) of balls and what is bound to them, and of bodies; sheet: those of a sheet; rest (n, 3)
+        [m]: where the balls show how patterns lie in what has no places on a texture of its own; uv (t, 3, 2): such places
+        of corners, or nan."""
         texels, rows = [np.zeros((0, 3))], list[tuple[float, ...]]()
         for look in (PLAIN, *looks):
             pattern = (float(PATTERNS.index(look.pattern)), *to_linear(np.array(look.pattern_colour)))
@@ -87,12 +87,12 @@ class Styles(NamedTuple):
 
     @property
     def are_patterned(self) -> bool:
-        """Whether any row has a pattern."""
+        """True if any row has a pattern."""
         return len(self.place) > 0
 
     @property
     def are_see_through(self) -> bool:
-        """Whether any row hides but a part of what is behind."""
+        """True if any row hides but a part of what is behind."""
         return bool(np.any(self.rows[:, 2] < 1))
 
 

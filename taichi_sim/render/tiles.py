@@ -1,4 +1,4 @@
-"""Which shapes touch which tile of a picture."""
+"""Lists of the shapes that touch each tile of a picture."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ MOST_ENTRIES = 4_000_000  # entries: beyond, the shapes drawn last (on top) are 
 def tile_lists(
     low: NDArray, high: NDArray, size: tuple[int, int], tile: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """For boxes low..high (n, 2) px: entry, the boxes tile after tile in their own order; start (tiles + 1,)."""
+    """Lists of boxes low..high (n, 2) px by tile: entry, the boxes tile after tile in their own order; start (tiles + 1,)."""
     across, down = -(-size[0] // tile), -(-size[1] // tile)
     limit = np.array([across, down])
     first = np.clip(np.floor(low / tile), 0, limit).astype(np.int64)

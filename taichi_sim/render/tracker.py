@@ -33,7 +33,7 @@ class Follower:
             self._speed = frame.velocity[self._balls].mean(axis=0)
 
     def memory(self) -> list[Any]:
-        """What the next place follows from, as plain values for `recall`."""
+        """State from which the next place follows, as plain values for `recall`."""
         return [self._time, self.place.tolist(), self._goal.tolist(), self._speed.tolist()]
 
     def recall(self, memory: Sequence[Any]) -> None:
@@ -42,7 +42,7 @@ class Follower:
         self.place, self._goal, self._speed = (np.array(one) for one in memory[1:])
 
     def at(self, frame: Frame) -> NDArray[np.float64]:
-        """Where it is at a frame (dim,) [m]; frames come in order of time, or all begins again."""
+        """Place (dim,) [m] at a frame; frames come in order of time, or all begins again."""
         elapsed = frame.time - self._time
         if elapsed < 0:  # it was put back
             self._begin_at(frame)
@@ -82,7 +82,7 @@ class Tracker:
 
     @property
     def is_open(self) -> bool:
-        """Whether something is left out that shows all of a run."""
+        """True if an argument is left out that is chosen from all frames of a run."""
         return self._path is not None and self._path.is_open
 
     def fit(self, frames: Sequence[Frame]) -> None:

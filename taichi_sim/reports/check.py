@@ -33,7 +33,7 @@ WRONG_IN_A_CYCLE = 0.01  # of a cycle's motion, likewise, where springs damp les
 
 
 def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64]) -> Iterator[str]:
-    """What steps of h seconds make of the decay of the slowest motions, and the cure where it is wrong."""
+    """Lines on the decay of the slowest motions with steps of h [s], and the cure where it is wrong."""
     if method.single_pass and (sinking := sinking_spring(scene, h)) is not None:
         yield f"damping               not known: ball {sinking.ball} is too heavy for its springs at this step of {method}"
         return

@@ -1,4 +1,4 @@
-"""Where the memory of a simulation goes: bytes of every field that it has declared."""
+"""Memory of a simulation: bytes of every field that it has declared."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -29,7 +29,7 @@ def breakdown(simulation: Simulation) -> dict[str, int]:
 
 
 def _each(held: dict[str, Any]) -> Iterator[tuple[str, Any]]:
-    """What an object holds, and what lies in its lists, by name."""
+    """Members of an object by name, and the entries of those that are lists."""
     for name, value in held.items():
         if isinstance(value, list):
             yield from ((f"{name}[{k}]", one) for k, one in enumerate(value))

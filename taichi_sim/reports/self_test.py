@@ -1,4 +1,4 @@
-"""Whether a device computes right: small loops with known results, for what the simulation relies on.
+"""Self-test of a device: small loops with known results, for what the simulation relies on.
 
     python -m taichi_sim.reports.self_test vulkan
 
@@ -23,7 +23,7 @@ NOTE = "this driver is broken (Mesa's lavapipe 22.3 is such a one); update it, o
 
 
 def faults() -> Iterator[str]:
-    """What the device that runs in this process does wrong, in words."""
+    """Faults of the device that runs in this process, in words."""
     drawn = ATOMICS * (ATOMICS - 1) // 2
     count, slots = ti.field(ti.i32, 1), ti.field(ti.i32, drawn)
     self_test.ragged(count, slots, ATOMICS)

@@ -1,4 +1,4 @@
-"""Whether an installation computes what it should: small scenes against stored results, in single precision.
+"""Check of an installation: small scenes against stored results, in single precision.
 
 The results are those of double precision on a CPU, written by tests/support/make_verify_results.py. No scene is chaotic: what
 differs by more than the tolerance is a fault of the installation, its driver or its device, or a version whose physics differ.
@@ -47,7 +47,7 @@ class Result(NamedTuple):
 
     @property
     def passed(self) -> bool:
-        """Whether the case ran and is right, or cannot run here."""
+        """True if the case ran and is right, or cannot run here."""
         return not self.failed and (self.deviation is None or self.deviation <= TOLERANCE)
 
 
@@ -144,7 +144,7 @@ def results(arch: str | None = None) -> Iterator[Result]:
 
 
 def installation() -> str:
-    """What a report of a fault should begin with: versions, backend and machine."""
+    """First lines of a report of a fault: versions, backend and machine."""
     runs = backend.running()
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     versions = f"NumPy {np.__version__}, Python {platform.python_version()}"

@@ -16,7 +16,7 @@ SHORTEST = {"fps": "1000", "duration": "0.001"}  # a run of two frames
 
 
 class Kept(NamedTuple):
-    """What the cache holds; folder: None where nothing can be kept."""
+    """Contents of the cache of kernels; folder: None where nothing can be kept."""
 
     folder: Path | None
     kernels: int
@@ -33,7 +33,7 @@ class Warmed(NamedTuple):
 
 
 def kept() -> Kept:
-    """What is kept at present."""
+    """Return what the cache holds at present."""
     folder = kernel_folder()
     files = [] if folder is None else [file.stat().st_size for file in folder.glob("*.tic")]
     return Kept(folder, len(files), sum(files))

@@ -25,7 +25,7 @@ class _Time(TypedDict):
 
 
 class CameraKey(_Time, total=False):
-    """Where the camera is at a time.
+    """A keyframe of the camera's path.
 
     Args:
         time: since the start [s]. eye: where it stands [m]. target: what it looks at [m].
@@ -37,7 +37,7 @@ class CameraKey(_Time, total=False):
 
 @dataclass(frozen=True, slots=True)
 class CameraPath:
-    """Where the camera stands, and how it moves. What is left out is chosen so that the scene fills the picture.
+    """Position and motion of the camera. An argument that is left out is chosen so that the scene fills the picture.
 
     Args:
         eye: in 3D, where it stands [m]. target: in 3D, what it looks at [m]. up: in 3D, what is up in the picture [1].
@@ -69,14 +69,14 @@ class CameraPath:
 
     @property
     def is_open(self) -> bool:
-        """Whether something is left out that shows all of a run."""
+        """True if an argument is left out that is chosen from all frames of a run."""
         in_3d = (self.eye is None and self.distance is None) or self.target is None
         in_2d = self.centre is None or self.width is None
         return self.fit == "run" and not self.path and self.follow is None and in_3d and in_2d
 
     @classmethod
     def of(cls, given: Mapping[str, Any], dim: int, n_balls: int) -> "CameraPath":
-        """From the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
+        """Make a path from the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
         known = KEYS_IN_2D if dim == 2 else [f.name for f in fields(cls) if f.name not in KEYS_IN_2D[:2]]
         if not isinstance(given, Mapping):
             raise SceneError("camera", given, f"a table of {', '.join(known)}")

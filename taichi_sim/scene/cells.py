@@ -32,7 +32,7 @@ class CellMethods:
     cells_together = Column("cells", "together", "(c,) a number that cells in one have, or -1", dtype=np.int32)
 
     def cells_act(self) -> bool:
-        """Whether any cell exerts a force; others are only watched, see `Simulation.inverted`."""
+        """True if any cell exerts a force; others are only watched, see `Simulation.inverted`."""
         return bool(self.bulk_modulus.any() or self.crush_modulus.any())
 
     def add_cells(
@@ -115,7 +115,7 @@ class _Cells(Columns, Element):
         ]
 
     def stiffness(self, scene: Any) -> list[Quadratic]:
-        """By the gradients of volumes at rest, with room for stretching."""
+        """Quadratic forms by the gradients of volumes at rest, with room for stretching."""
         strength = (ROOM * scene.bulk_modulus + scene.crush_modulus) / scene.rest_volume
         return [Quadratic(scene.cells, _gradients(scene), strength)]
 

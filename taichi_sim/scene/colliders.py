@@ -76,7 +76,7 @@ class Collider:
 
     @property
     def is_meshed(self) -> bool:
-        """Whether its surface is known as triangles."""
+        """True if its surface is known as triangles."""
         return self.kind in (MESH, CUSTOM)
 
     @property
@@ -117,7 +117,7 @@ class Collider:
 
 @dataclass(frozen=True)
 class _Placed:
-    """What every collider takes.
+    """Arguments of every collider.
 
     Args:
         material: name of a material added before, or of a preset. colour: sRGB in 0..1 [1]; grey otherwise.
@@ -371,7 +371,7 @@ def _closed(surface: Surface, where: str, name: str) -> Surface:
 
 
 def _drawn(shape: ColliderShape, dim: int, where: str) -> Surface:
-    """What the renderer shows of a shape of the user's own, checked, with its distance function."""
+    """Surface that the renderer shows of a shape of the user's own. Checks it, and its distance function; raises SceneError."""
     name = type(shape).__name__
     validation.taichi_function(where, shape, "distance", "p")
     if type(shape).surface is ColliderShape.surface:
@@ -390,7 +390,7 @@ def _drawn(shape: ColliderShape, dim: int, where: str) -> Surface:
 
 
 def _left_out(shape: Any, key: str, value: Any) -> bool:
-    """Whether an argument has its default."""
+    """True if an argument has its default."""
     default = next(f.default for f in fields(shape) if f.name == key)
     return value is default or (isinstance(value, (int, float, str, tuple)) and value == default)
 

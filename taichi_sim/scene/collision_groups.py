@@ -68,5 +68,5 @@ def bits_of(column: NDArray[np.int32]) -> list[int]:
 
 
 def meet(group: NDArray[np.int32], mask: NDArray[np.int32], other_group: int, other_mask: int) -> NDArray[np.bool_]:
-    """Which of the items collide with another one: each must be in a group that the other collides with."""
+    """Mask of the items that collide with another one: each must be in a group that the other collides with."""
     return ((group & np.int32(other_mask)) != 0) & ((mask & np.int32(other_group)) != 0)

@@ -18,8 +18,8 @@ Held = TypeVar("Held")
 
 
 def sealed(held: Held) -> Held:
-    """The same object, of which nobody can change an element from now on: an array, or a dataclass, whose arrays, which may be
-    somebody's, are copied."""
+    """Return `held` so that nobody can change an element from now on: an array itself, or a dataclass, whose arrays, which
+    may be somebody's, are replaced by copies."""
     if isinstance(held, np.ndarray):
         held.flags.writeable = False
     elif hasattr(held, "__dataclass_fields__"):
@@ -119,7 +119,7 @@ class Names:
         self._seen = 0
 
     def number(self, items: Sequence[Any], name: str) -> int | None:
-        """Of the first item of that name; None where there is none, or an item was replaced by it meanwhile."""
+        """Number of the first item of that name; None where there is none, or an item was replaced by it meanwhile."""
         if items is not self._items or self._seen > len(items):  # another list, or some were taken back
             self._numbers, self._items, self._seen = {}, items, 0
         for k in range(self._seen, len(items)):
@@ -130,7 +130,7 @@ class Names:
 
 
 class Marked:
-    """Which of many things the items of a list that grows name, each looked at once: many are added in as many steps."""
+    """Mask of the things that items of a growing list name. Each item is looked at once, so adding n of them takes O(n)."""
 
     def __init__(self, key: str) -> None:
         """key: of an item, the numbers that it names."""

@@ -67,7 +67,7 @@ def fill(scene: Any, values: Mapping[str, Any], arrays: Mapping[str, NDArray]) -
 
 
 def _rows(part: Part, values: Mapping[str, Any]) -> list[Row]:
-    """What the document has of a part."""
+    """Rows that the document has of a part."""
     given = values.get(part.name, [])
     return validation.tables({part.name: [given] if part.is_one and given != [] else given}, part.name)
 
@@ -78,7 +78,7 @@ def _place(part: Part, k: int) -> KeyPath:
 
 
 def _value(place: str, key: str, value: Any, arrays: Mapping[str, NDArray]) -> Any:
-    """What stands there, or the array that it names."""
+    """Value of a key, or the array that it names. Raises SceneError where there is no such array."""
     if not isinstance(value, dict) or list(value) != [ARRAY]:
         return value
     if value[ARRAY] not in arrays:

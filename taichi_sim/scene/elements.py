@@ -25,11 +25,11 @@ class Elements(CellMethods, BendingMethods, GasMethods, WindMethods):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def has_elements(self) -> bool:
-        """Whether forces besides gravity, springs and contacts act."""
+        """True if forces besides gravity, springs and contacts act."""
         return any(element.acts(self) for element in ELEMENTS)
 
     def joined(self: Any) -> NDArray[np.bool_]:
-        """Which balls (n,) belong to a spring or to an element."""
+        """Mask (n,) of the balls that belong to a spring or to an element."""
         joined = np.zeros(self.n_balls, dtype=bool)
         for balls in (self.pairs, *(element.corners(self) for element in ELEMENTS)):
             joined[balls] = True

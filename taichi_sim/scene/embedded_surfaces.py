@@ -25,7 +25,7 @@ class EmbeddedSurface:
     colour: tuple[float, ...] | None = None  # sRGB, 0 to 1; None: that of the balls
 
     def covered(self, n: int) -> NDArray[np.bool_]:
-        """Which of n balls it is drawn in place of, (n,)."""
+        """Mask (n,) of the balls in place of which it is drawn."""
         covered = np.zeros(n, dtype=bool)
         covered[self.corners[self.weights != 0]] = True
         covered[self.covers] = True

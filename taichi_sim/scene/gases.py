@@ -89,7 +89,7 @@ class _Gases(Listed, Element):
         return terms
 
     def stiffness(self, scene: Any) -> list[Quadratic]:
-        """By the gradient of the present volume."""
+        """Quadratic forms by the gradient of the present volume."""
         found = []
         for gas in scene.gases:
             balls = np.unique(gas.triangles)
@@ -99,7 +99,7 @@ class _Gases(Listed, Element):
         return found
 
     def further_rates(self, scene: Any) -> tuple[float, float]:
-        """Of the pressure, which turns with the surface: p times the edges at a ball over six."""
+        """Rates of the pressure, which turns with the surface: p times the edges at a ball over six."""
         root, press = np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass)), 0.0
         for gas in scene.gases:
             x, t = scene.position, gas.triangles

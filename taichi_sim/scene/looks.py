@@ -24,7 +24,7 @@ PATTERNS = ("plain", "stripes", "checks")
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How the surface of a shape or of a collider looks.
+    """Appearance of the surface of a shape or of a collider.
 
     Args:
         of: name of the shape or of the collider.
@@ -55,8 +55,8 @@ class Look:
         colliders: Collection[str],
         before: Sequence[Look] = (),
     ) -> Look:
-        """From a table of [[output.looks]], the names of shapes and colliders, and the looks of the tables before. Raises
-        SceneError that names `where`, the key and the value."""
+        """Make a look from a table of [[output.looks]], the names of shapes and colliders, and the looks of the tables
+        before. Raises SceneError that names `where`, the key and the value."""
         known = [f.name for f in fields(cls)]
         if not isinstance(given, Mapping) or "of" not in given:
             raise SceneError(where, given, f"a table of {', '.join(known)}, with of")

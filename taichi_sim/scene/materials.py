@@ -12,7 +12,8 @@ __all__ = ["Material", "Wall", "max_restitution", "used_materials"]
 
 @dataclass(frozen=True, slots=True)
 class Material:
-    """How a surface answers. Two that meet: the larger restitution, the geometric mean of the frictions."""
+    """Properties of a surface in contact. Where two of them meet: the larger restitution, the geometric mean of the
+    frictions."""
 
     name: str
     restitution: float = 0.0  # 0: no bounce, 1: elastic

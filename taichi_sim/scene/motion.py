@@ -37,7 +37,7 @@ class _Time(TypedDict):
 
 
 class Keyframe(_Time, total=False):
-    """By how far a body has moved and turned from where it starts, at a time. In the first keyframe both are 0.
+    """Displacement and rotation of a body from where it starts, at a time. In the first keyframe both are 0.
 
     Args:
         time: since the start [s].
@@ -69,7 +69,7 @@ class Motion:
 
     @property
     def moves(self) -> bool:
-        """Whether the body ever moves."""
+        """True if the body ever moves."""
         parts = (np.diff(self.positions, axis=0), self.turns, self.velocity)
         return any(bool(np.any(part)) for part in parts)
 
@@ -89,14 +89,14 @@ class Motion:
         return x, turn_matrix(self.turns[k] * since[:, None]) @ self.rotations[k]
 
     def steps(self, time: float, h: float, first: int, steps: int) -> tuple[Floats, Floats, Floats, Floats]:
-        """At `time` + first h, ..., (first + steps) h: positions and rotations, and the velocities (steps + 1, dim) [m/s] and
+        """Positions and rotations at `time` + first h, ..., (first + steps) h, and the velocities (steps + 1, dim) [m/s] and
         angular velocities (steps + 1, 1 or 3) [1/s] that lead from each exactly to the next."""
         t = moments(time, h, first, steps + 1)
         x, turn = self.at(t)
         return x[:-1], turn[:-1], self._velocities(t, x, turn), turn_vector(turn[1:] @ turn[:-1].swapaxes(1, 2)) / h
 
     def _velocities(self, t: NDArray[Any], x: Floats, turn: Floats) -> Floats:
-        """From each of the times to the next; exactly those given where they hold all the way."""
+        """Velocities [m/s] from each of the times to the next; exactly those given where they hold all the way."""
         h = np.diff(t)[:, None]
         if len(self.times) == 1:
             arm = self.rotations[0].T @ (self.positions[0] - self.pivot)
@@ -125,7 +125,8 @@ class Motion:
 
     @classmethod
     def of(cls, where: str, dim: int, position: Floats, given: Mapping[str, Any], *, named: bool = True) -> "Motion":
-        """From the arguments of a shape, checked: rotation, velocity, rotation_rate, pivot, path, repeat. SceneError.
+        """Make a motion from the arguments of a shape, checked: rotation, velocity, rotation_rate, pivot, path, repeat.
+        Raises SceneError.
 
         named: the user gave the position; a path that leaves it out at first could be meant to go on from there.
         """
@@ -226,13 +227,14 @@ def moments(time: float, h: float, first: int, steps: int) -> Floats:
 
 
 def counted(time: float, h: float) -> tuple[float, int]:
-    """Where steps of h that meet `time` are counted from [s], and how many come before it: from 0 if that is a whole number."""
+    """Start [s] from which steps of h that meet `time` are counted, and number of steps before it. The start is 0 where
+    `time` is a whole number of steps."""
     whole = round(time / h)
     return (0.0, whole) if abs(whole * h - time) <= 1e-9 * time else (time, 0)
 
 
 def _as_it_is(_: str, value: Any) -> Any:
-    """What is judged later, in view of the dimensions and of the keyframe before."""
+    """Return the value unchecked: it is checked later, in view of the dimensions and of the keyframe before."""
     return value
 
 

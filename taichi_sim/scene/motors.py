@@ -24,7 +24,7 @@ MOST_STRAIN = 10.0  # a longer spring is a mistake: its unit, or a length in pla
 
 
 class MotorKeyframe(TypedDict):
-    """By how much springs are longer at rest, at a time. In the first keyframe by 0.
+    """Strain by which springs are longer at rest, at a time. In the first keyframe it is 0.
 
     Args:
         time: since the start [s].
@@ -129,7 +129,8 @@ class Motorised:
         self.motors.append(sealed(Motor(index, angles, *sine, keys[:, 0], keys[:, 1], repeat, plain)))
 
     def at(self: Any, time: float) -> Any:
-        """This scene with the rest lengths that its motors give it at a time [s]: to look at, not to change."""
+        """Return a copy of this scene with the rest lengths that its motors give it at a time [s]: to look at, not to
+        change."""
         if not self.motors:
             return self
         now = copy(self)

@@ -122,8 +122,8 @@ class Objects:
 
 
 def named(n: int, objects: Sequence[SceneObject]) -> tuple[NDArray[np.int32], list[str]]:
-    """For each of n balls the number (n,) of its object, the last one where several have it, and their names, in the order of
-    the scene. Balls of none come last."""
+    """Number (n,) of the object of each of n balls, the last one where several have it, and the objects' names, in the order
+    of the scene. Balls of none come last."""
     number = np.full(n, len(objects), dtype=np.int32)
     for k, one in enumerate(objects):
         number[one.balls] = k

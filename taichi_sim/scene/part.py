@@ -38,7 +38,7 @@ class Part:
 
     @property
     def words(self) -> str:
-        """What several of them are called."""
+        """Name of several of them, for messages."""
         return self.title or self.name.replace("_", " ")
 
     def rows(self, scene: Any) -> list[Row]:
@@ -46,7 +46,7 @@ class Part:
         return []
 
     def count(self, scene: Any) -> int:
-        """How many of them a scene has."""
+        """Number of them in a scene."""
         return len(self.rows(scene))
 
     def add(self, scene: Any, row: Mapping[str, Any]) -> Any:
@@ -105,7 +105,7 @@ class Element(Part):
     gives_energy: bool = False  # or takes it: the energy of a scene with one does not stay
 
     def acts(self, scene: Any) -> bool:
-        """Whether there is one that exerts a force."""
+        """True if the scene has one that exerts a force."""
         return self.count(scene) > 0
 
     def corners(self, scene: Any) -> NDArray[np.int32]:
@@ -117,15 +117,15 @@ class Element(Part):
         return []
 
     def stiffness(self, scene: Any) -> list[Quadratic]:
-        """What its energy is about the present shape."""
+        """Quadratic forms of its energy in displacements x about the present shape."""
         return []
 
     def damping(self, scene: Any) -> list[Quadratic]:
-        """The same of the power that it takes, of velocities in place of x."""
+        """Quadratic forms of the power that it dissipates, in velocities in place of displacements."""
         return []
 
     def further_rates(self, scene: Any) -> tuple[float, float]:
-        """What is to be added to the largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of these."""
+        """Terms to add to the largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of its quadratic forms."""
         return 0.0, 0.0
 
 

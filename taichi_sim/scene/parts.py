@@ -23,7 +23,7 @@ class _Walls(Listed):
 
 
 class _Colliders(Listed):
-    """Those of the user's own as they are drawn, which no shape that can be added is: see `Collider.saved`."""
+    """Colliders; those of the user's own as they are drawn, which no shape that can be added is: see `Collider.saved`."""
 
     def row(self, scene: Any, one: Any) -> Row:
         return one.given | ({"vertices": one.vertices, "triangles": one.triangles} if one.is_meshed else {})

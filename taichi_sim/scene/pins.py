@@ -1,4 +1,4 @@
-"""Which balls of several are meant: by numbers, by a word like "border", or by what lies within a box or a sphere."""
+"""Selection of balls: by numbers, by a word like "border", or by a box or a sphere that they lie in."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
@@ -24,7 +24,7 @@ AT_SIDE = 1e-6  # of the longest extent
 
 
 def is_described(pins: Any) -> bool:
-    """Whether balls are meant by words or shapes, and not by their numbers."""
+    """True if balls are meant by words or shapes, and not by their numbers."""
     several = isinstance(pins, (list, tuple)) and len(pins) > 0 and all(isinstance(one, PARTS) for one in pins)
     return isinstance(pins, PARTS) or several
 
@@ -32,7 +32,7 @@ def is_described(pins: Any) -> bool:
 def chosen(
     where: str, pins: Any, x: NDArray, own: NDArray | None = None, triangles: NDArray | None = None
 ) -> NDArray[np.bool_]:
-    """Which of the balls at x (n, dim) [m] are meant, (n,).
+    """Mask (n,) of the balls at x (n, dim) [m] that are meant.
 
     pins: a bool, a bool per ball, numbers of them, a solid shape (or a table that describes one, as in [[colliders]]): those with
     their centre in it; or a word: left, right (along x), bottom, top (y), back, front (z): the outermost that way; border: on
@@ -89,7 +89,7 @@ def _named(where: str, word: str, x: NDArray, own: NDArray, triangles: NDArray |
 
 
 def _outermost(x: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which coordinates (n, dim) are the lowest, and which the highest along their axis."""
+    """Masks (n, dim) of the coordinates that are the lowest, and of those that are the highest along their axis."""
     near = AT_SIDE * float(np.ptp(x, axis=0).max())
     return x <= x.min(axis=0) + near, x >= x.max(axis=0) - near
 

@@ -42,7 +42,7 @@ class Preset:
     poisson_ratio: float | None = None
 
     def material(self, name: str) -> Material:
-        """What balls and walls of it are made of."""
+        """Surface material, named `name`, of balls and walls made of it."""
         return Material(name, self.restitution, self.friction)
 
 

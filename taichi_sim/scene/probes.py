@@ -60,7 +60,7 @@ class Probe:
         return (*"xyz"[:dim], "magnitude") if self.vector else tuple(self.units)
 
     def unit(self, number: str) -> str:
-        """Of a number; empty where it is a plain one."""
+        """Unit of a number; empty where it is a plain one."""
         return next(iter(self.units.values())) if self.vector else self.units[number]
 
     def read(self, sample: ProbeSample) -> dict[str, float]:
@@ -68,7 +68,7 @@ class Probe:
         raise NotImplementedError
 
     def total(self, sample: ProbeSample) -> Floats | None:
-        """What has grown since the start, where the probe gives means of its growth."""
+        """Total that has grown since the start, of which the probe gives means; None where it gives none."""
         return None
 
     def mean(self, growth: Floats, interval: float) -> dict[str, float]:

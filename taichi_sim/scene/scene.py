@@ -489,7 +489,7 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         self.tables["balls"].replace(index, group=group_bits, mask=mask_bits)
 
     def has_groups(self) -> bool:
-        """Whether any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
+        """True if any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
         groups = {*bits_of(self.group), *(wall.group for wall in self.walls), *(c.group for c in self.colliders)}
         masks = [("balls", bits) for bits in bits_of(self.mask)]
         masks += [(f"walls[{k}]", wall.mask) for k, wall in enumerate(self.walls)]
@@ -500,7 +500,7 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
 
     @contextmanager
     def all_or_nothing(self) -> Iterator[None]:
-        """What the block adds to this scene is taken back where it raises: for shapes, which add several things."""
+        """Take back what the block adds to this scene where it raises: for shapes, which add several things."""
         self._may_change("anything")
         tables = [(table, table.rows) for table in self.tables.values()]
         lists: list[Any] = [self.groups.names, *(getattr(self, name) for name in LISTS)]
@@ -548,7 +548,8 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         return held
 
     def grown_since(self, held: Scene) -> str:
-        """What this scene has more of than `held`, a frozen copy of it, in words; "" where nothing was added."""
+        """Words for the kinds of things that this scene has more of than `held`, a frozen copy of it; "" where nothing was
+        added."""
         return ", ".join(part.words for part in PARTS if part.is_simulated and part.count(self) > part.count(held))
 
     def _may_change(self, name: str) -> None:
@@ -583,7 +584,8 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         raise SceneError(where, name, says=f"is not a material of this scene; {hint}")
 
     def preset(self, material: str) -> Preset | None:
-        """What is known of cloth and bodies of a material; None where it is no preset's name, or the scene has its own of it."""
+        """Preset for cloth and bodies of a material; None where no preset has that name, or the scene has its own material
+        of it."""
         known = PRESETS.get(material) if isinstance(material, str) else None
         number = None if known is None else self._material_names.number(self.materials, material)
         if known is None or (number is not None and self.materials[number] != known.material(material)):

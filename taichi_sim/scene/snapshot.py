@@ -41,7 +41,7 @@ class Snapshot:
     )  # fields from which the run is begun anew, see Moments
 
     def checked(self, scene: Scene) -> "Snapshot":
-        """The same, in float64. Raises SceneError that names what does not fit the scene."""
+        """Return a copy with arrays in float64. Raises SceneError that names what does not fit the scene."""
         n, dim = scene.n_balls, scene.dim
         shapes = dict.fromkeys(("position", "velocity", "low_position", "low_velocity"), (n, dim))
         shapes |= {"surface_speed": (n, 1 if dim == 2 else 3), "impulses": (len(bodies_of(scene)), dim)}
@@ -72,7 +72,7 @@ class Snapshot:
 
     @classmethod
     def of_file(cls, arrays: Mapping[str, NDArray], time: float, stepping: Mapping[str, Any]) -> "Snapshot":
-        """What `arrays` gave, among other arrays, with the plain values."""
+        """Rebuild a snapshot from what `arrays` gave, among other arrays, and the plain values."""
         own = {one.name: arrays[one.name] for one in fields(cls) if one.name in arrays}
         memory = {name.removeprefix(MEMORY): array for name, array in arrays.items() if name.startswith(MEMORY)}
         return cls(**own, time=time, stepping=stepping, memory=memory)

@@ -1,4 +1,4 @@
-"""What a scene holds, in words and numbers."""
+"""Contents of a scene, in words and numbers."""
 
 from html import escape
 from typing import Any
@@ -9,7 +9,7 @@ __all__ = ["as_html", "in_words", "parts_of"]
 
 
 def parts_of(scene: Any) -> dict[str, int]:
-    """How many there are of each kind of thing that the scene has any of."""
+    """Number of things of each kind that the scene has any of."""
     found: dict[str, int] = {}
     for part in PARTS:
         if part.is_simulated:

@@ -50,7 +50,7 @@ def _from(file: Path, name: str) -> str:
 
 
 def _document(scene: Any, arrays_file: str) -> tuple[dict[str, Any], dict[str, NDArray]]:
-    """What the file says, and the arrays that go to the .npz of this name."""
+    """Contents of the file, and the arrays that go to the .npz of this name."""
     document: dict[str, Any] = {"format": 1, "dim": scene.dim, "gravity": scene.gravity.tolist()}
     document |= {"simulation": _plain(scene.settings), "output": _plain(scene.output)}
     arrays: dict[str, NDArray] = {}
@@ -86,7 +86,8 @@ def _short(part: Part, scene: Any, row: Row) -> Row:
 
 
 def _one(column: Any) -> Any:
-    """Its one value, where a column of quantities or flags has no other; whole numbers count things."""
+    """Value that all of a column of quantities or flags have, or the column where they differ; whole numbers count things
+    and stay."""
     many = isinstance(column, np.ndarray) and column.ndim == 1 and column.dtype.kind in "fb" and len(column) > 0
     return column[0] if many and np.all(column == column[0]) else column
 

@@ -1,4 +1,4 @@
-"""What the shapes are made of: checked sizes, lattices, placing, a stiffness that is stable, and the handle."""
+"""Parts of the shapes: checked sizes, lattices, placing, a stiffness that is stable, and the handle."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ def _none(*shape: int) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """What a shape added to the scene, as indices into it. A user-defined shape is a function that returns one:
+    """Balls, springs and all else that a shape added to the scene, as indices into it. A user-defined shape is a function
+    that returns a Shape:
 
     def bar(scene, start, end, stiffness=100.0):
         balls = scene.add_balls([start, end], radius=0.1)
@@ -94,7 +95,7 @@ class Bends(NamedTuple):
         return Bends(corners, weights, stiffness, np.concatenate(hinge))
 
     def times(self, factor: float) -> Bends:
-        """Those that are so many times as stiff."""
+        """Return bends that are so many times as stiff."""
         return self._replace(stiffness=factor * self.stiffness)
 
 
@@ -110,8 +111,8 @@ class Cells(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What every shape is told about its balls, and where it is put. radius is that of all, or (n,) of each [m]; border: (n,)
-    which balls are at its border, where its triangles or extents do not tell."""
+    """Arguments of every shape: properties of its balls, and where it is put. radius is that of all, or (n,) of each [m];
+    border: mask (n,) of the balls that are at its border, where its triangles or extents do not tell."""
 
     mass: float | NDArray  # kg, of all of them together, or (n,) of each
     radius: float | NDArray

@@ -21,7 +21,7 @@ FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 
 
 class Fabric(NamedTuple):
-    """What a sheet is made of."""
+    """Material of a sheet."""
 
     mass_per_area: float  # kg/m^2
     stretch: float  # N/m
@@ -57,7 +57,7 @@ def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
 
 
 def _borders(number: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """For each line of balls along x and along z what it has of a spacing beside it: 1, or 1/2 at the ends."""
+    """Parts of a spacing that each line of balls along x and along z has beside it: 1, or 1/2 at the ends."""
     parts = []
     for n in number:
         part = np.ones(n)
@@ -148,7 +148,7 @@ def _mesh_springs(surface: Surface, area: NDArray, fabric: Fabric) -> tuple[NDAr
 
 
 def tension_shares(surface: Surface) -> NDArray[np.float64]:
-    """Of each edge (m,) of a closed mesh: what a tension of 1 N/m in the sheet is along it, over its length.
+    """Tension along each edge (m,) of a closed mesh where that in the sheet is 1 N/m, over the edge's length.
 
     Half the sum of the cotangents of the angles that face it, which makes the forces those of a soap film.
     """

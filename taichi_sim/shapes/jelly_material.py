@@ -1,4 +1,4 @@
-"""What fills a body: lattices of springs with given moduli, cells that keep its volume, tetrahedra in a mesh. Imports no Taichi.
+"""Solids: lattices of springs with given moduli, cells that keep the volume, tetrahedra in a mesh. Imports no Taichi.
 
 A spring network has Lame's first constant lambda = mu (in 3D Poisson's ratio 1/4, in 2D 1/3): its springs give mu, and cells
 with the bulk modulus lambda - mu what a larger ratio asks for. See physics.md, "Elastic bodies".
@@ -141,7 +141,7 @@ def box_cells(
 
 
 def _averaged(values: NDArray, axis: int) -> NDArray:
-    """At the n + 1 planes between n layers the mean of both sides, with nothing beyond the ends."""
+    """Means of both sides at the n + 1 planes between n layers, with nothing beyond the ends."""
     wide = np.pad(values, [(1, 1) if k == axis else (0, 0) for k in range(values.ndim)])
     ends = [slice(None)] * values.ndim
     lower, upper = list(ends), list(ends)
@@ -206,7 +206,7 @@ def box_surface(filled: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def inside(surface: Surface, low: NDArray, spacing: float, number: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Which boxes (a, b, c) of a lattice have their centre inside a mesh; box 0 begins at `low` (3,) m.
+    """Mask (a, b, c) of the boxes of a lattice that have their centre inside a mesh; box 0 begins at `low` (3,) m.
 
     Rays through the centres along each axis count the triangles that they leave and enter through; two axes of three decide,
     so that a hole or a wrong face here and there does no harm.
@@ -223,7 +223,8 @@ def inside(surface: Surface, low: NDArray, spacing: float, number: tuple[int, ..
 
 
 def _crossings(corners: NDArray, number: tuple[int, ...], turned: bool) -> NDArray[np.int64]:
-    """How often the ray upward from each box's centre leaves the triangles `corners` (t, 3, 3) less how often it enters."""
+    """Number of times that the ray upward from each box's centre leaves the triangles `corners` (t, 3, 3), less the number
+    of times that it enters."""
     shift = np.array([1.4142e-5, 1.7321e-5])  # no ray meets an edge of a mesh made of round numbers
     a, b, c = (corners[:, k, :2] - 0.5 + shift for k in range(3))
     low = np.clip(np.ceil(np.minimum(np.minimum(a, b), c)), 0, number[:2]).astype(np.int64)
@@ -250,7 +251,7 @@ def _crossings(corners: NDArray, number: tuple[int, ...], turned: bool) -> NDArr
 
 
 def connected(filled: NDArray[np.bool_], least: float = 0.02) -> NDArray[np.bool_]:
-    """Those boxes that hang together by their faces, without crumbs smaller than `least` of the largest piece."""
+    """Mask of the boxes that hang together by their faces, without crumbs smaller than `least` of the largest piece."""
     from scipy.ndimage import label
 
     names, _ = label(filled)
@@ -289,7 +290,7 @@ def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.fl
 
 @contextmanager
 def _elsewhere() -> Iterator[None]:
-    """In a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
+    """Run the block in a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
     before = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
@@ -320,8 +321,8 @@ def _opposite(x: NDArray) -> NDArray[np.float64]:
 
 
 def springs_of(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Solid:
-    """The same body for tetrahedra, in 2D triangles: springs along their edges, each k = 2.5 V / L^2 for mu = 1, V the volume
-    around it; in 2D k = 8/3 A / L^2, A the area of its triangles.
+    """Elastic body of tetrahedra (c, 4), in 2D of triangles (c, 3), with points (n, dim) [m]: springs along their edges,
+    each k = 2.5 V / L^2 for mu = 1, V the volume around it; in 2D k = 8/3 A / L^2, A the area of its triangles.
 
     Where edges point everywhere alike that is E = 2.5 mu, in 2D 8/3 mu, exactly, before points move against their neighbours
     (Van Gelder 1998).

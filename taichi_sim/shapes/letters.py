@@ -182,7 +182,7 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
 
 
 def _radius(given: dict[str, Any], spacing: float) -> float:
-    """Of balls that leave no gap, or, where triangles collide, smaller ones [m]."""
+    """Radius [m] of balls that leave no gap, or, where triangles collide, of smaller ones."""
     return (0.25 if given["surface_collision"] else 0.45) * spacing * float(given["scale"])
 
 

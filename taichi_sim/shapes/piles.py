@@ -80,7 +80,7 @@ def pile(
 
 
 def _mass(scene: Scene, material: str, radius: float) -> float:
-    """Of a ball of a preset [kg], in 2D of a disc as thick as a slab; else 1."""
+    """Mass of a ball of a preset [kg], in 2D of a disc as thick as a slab; else 1."""
     density = with_preset(scene, material, {"density": None, "poisson_ratio": None})["density"]
     if density is None:
         return 1.0

@@ -27,7 +27,7 @@ def styled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def literal(text: str) -> str:
-    """For a name in a figure: a $ in it begins no formula."""
+    """Escape a name for a figure: a $ in it begins no formula."""
     return text.replace("$", r"\$")
 
 
@@ -44,7 +44,7 @@ def dress(axis: Any, grid: bool = True) -> None:
 
 @styled
 def svg(figure: Any) -> str:
-    """For a page: words and axes in the colour of its text, no background, no header."""
+    """Figure as SVG for a page: words and axes in the colour of its text, no background, no header."""
     import matplotlib
 
     text = io.StringIO()
@@ -56,7 +56,7 @@ def svg(figure: Any) -> str:
 
 @styled
 def png(figure: Any) -> bytes:
-    """For Markdown, on white."""
+    """Figure as PNG for Markdown, on white."""
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=130, facecolor="white")
     return data.getvalue()

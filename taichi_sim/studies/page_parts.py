@@ -39,7 +39,7 @@ def as_html(content: Iterable[Part]) -> bytes:
 
 
 def as_markdown(content: Iterable[Part]) -> bytes:
-    """The same parts for a reader of text; the picture is the file error.png."""
+    """Page of these parts as Markdown, for a reader of text; the picture is the file error.png."""
     return "\n\n".join(MARKDOWN[kind](value) for kind, value in content).encode() + b"\n"
 
 

@@ -1,4 +1,4 @@
-"""Where tasks are done: in this process, or by the workers of Dask, on this machine or a cluster."""
+"""Workers that do tasks: this process, or the workers of Dask, on this machine or a cluster."""
 
 import logging
 import os
@@ -70,13 +70,14 @@ class Workers:
 
     @property
     def said(self) -> str:
-        """How many, and where they can be watched."""
+        """Number of workers, and the address where they can be watched, in words."""
         workers = f"{self.number} worker{'s' * (self.number != 1)}"
         return f"{workers}, {self.client.dashboard_link}" if self.watched else workers
 
     def run(self, work: Work, waiting: deque[Task], what: str) -> Iterator[tuple[Task, Any]]:
-        """As `Here.run`, in the order in which tasks end; None for a task whose worker ended, which may be put into `waiting`
-        again. Raises BackendError where `work` fails, or the scheduler is lost."""
+        """Run tasks, with arguments as those of `Here.run`, and yield them in the order in which they end; None for a task
+        whose worker ended, which may be put into `waiting` again. Raises BackendError where `work` fails, or the scheduler
+        is lost."""
         from distributed import as_completed
         from distributed.comm import CommClosedError
 
@@ -100,7 +101,7 @@ class Workers:
                 self.client.cancel(list(running))
 
     def _result(self, future: Any, what: str) -> Any:
-        """What a task came to; None where its worker ended, or was lost."""
+        """Result of a task; None where its worker ended, or was lost."""
         from distributed import KilledWorker
 
         if future.status == "finished":
@@ -114,7 +115,7 @@ class Workers:
 
 
 def versions() -> dict[str, str]:
-    """What must be the same on all workers for the same results."""
+    """Versions that must be equal on all workers for equal results, by name."""
     engine = import_module("taichi_sim.device.engine")
     return {
         "taichi_sim": __version__,
@@ -132,8 +133,8 @@ def place(scheduler: str | None, workers: int | None) -> tuple[str | None, int |
 
 @contextmanager
 def connected(scheduler: str | None, workers: int | None, say: Callable[[str], None]) -> Iterator[Any]:
-    """What does tasks: with 0 workers this process; a number of processes of this machine, None: one for each core; or those
-    of a scheduler. Raises SceneError or BackendError where that is not possible."""
+    """Object that does tasks: with 0 workers this process; a number of processes of this machine, None: one for each core;
+    or those of a scheduler. Raises SceneError or BackendError where that is not possible."""
     if workers == 0 and scheduler is None:
         yield Here()
         return
@@ -206,7 +207,7 @@ def _packages() -> tuple[Any, Any]:
 
 
 def _answers(link: str) -> bool:
-    """Whether there is a page: without Bokeh, and where a scheduler was started so, there is none."""
+    """True if there is a page: without Bokeh, and where a scheduler was started so, there is none."""
     try:
         with build_opener(ProxyHandler({})).open(link, timeout=1.0) as page:
             return bool(page.status == 200)
@@ -215,7 +216,7 @@ def _answers(link: str) -> bool:
 
 
 def _checked(client: Any, where: str) -> int:
-    """How many workers there are. Raises SceneError where there is none, or one has other versions, or several threads."""
+    """Number of workers. Raises SceneError where there is none, or one has other versions, or several threads."""
     workers = client.scheduler_info(n_workers=-1)["workers"]
     number = len(workers)
     if number == 0:

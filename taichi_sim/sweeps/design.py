@@ -1,4 +1,4 @@
-"""What is varied, and which points are run: every combination of values, or a sample of ranges."""
+"""Design of a sweep: what is varied, and which points are run, every combination of values or a sample of ranges."""
 
 import itertools
 import math
@@ -85,7 +85,7 @@ def axis_of(path: str, given: Any) -> Axis:
 
 
 def axes_of(given: Mapping[str, Any] | Sequence[str]) -> tuple[Axis, ...]:
-    """Of a mapping, path to values, or of texts `path=values`."""
+    """Axes of a mapping, path to values, or of texts `path=values`."""
     pairs: list[tuple[str, Any]] = []
     if isinstance(given, Mapping):
         pairs = list(given.items())
@@ -108,7 +108,8 @@ def axes_of(given: Mapping[str, Any] | Sequence[str]) -> tuple[Axis, ...]:
 
 @dataclass(frozen=True)
 class Design:
-    """Which points: `kind` of DESIGNS; points: how many of a sample, for "sobol" of each of its parts; luck: of the sample."""
+    """Choice of points: `kind` of DESIGNS; points: how many of a sample, for "sobol" of each of its parts; luck: of the
+    sample."""
 
     axes: tuple[Axis, ...]
     kind: str = "product"

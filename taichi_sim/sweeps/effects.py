@@ -1,4 +1,4 @@
-"""What a sweep says: means over seeds, how much each parameter explains, and Sobol's indices. Plain NumPy and SciPy."""
+"""Effects in a sweep: means over seeds, how much each parameter explains, and Sobol's indices. Plain NumPy and SciPy."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -55,8 +55,8 @@ def parameters_in_words(parameters: Mapping[str, Any]) -> list[str]:
 
 
 class Effect(NamedTuple):
-    """Of a parameter on a measure. share: of the variance between points that its means explain (eta squared); low, high: the
-    least and largest of these means."""
+    """Effect of a parameter on a measure. share: of the variance between points that its means explain (eta squared); low,
+    high: the least and largest of these means."""
 
     path: str
     share: float

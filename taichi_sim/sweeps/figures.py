@@ -57,7 +57,7 @@ def _histogram(axis: Any, group: Group, measure: str) -> None:
 
 
 def _places(axis: Axis, groups: Sequence[Group]) -> tuple[np.ndarray, list[Any] | None]:
-    """Where the groups lie along an axis, and what is written there where values are no numbers."""
+    """Places of the groups along an axis, and the words that are written there where values are no numbers."""
     values = [group.parameters[axis.path] for group in groups]
     if all(isinstance(value, (int, float)) and not isinstance(value, bool) for value in values):
         return np.array(values, dtype=float), None
@@ -90,7 +90,7 @@ def _curve(axis: Any, groups: Sequence[Group], along: Axis, measure: str) -> Non
 
 
 def is_logarithmic(along: Axis, x: np.ndarray) -> bool:
-    """Whether it was said so, or values were named one by one that lie far apart."""
+    """True if the axis was said to be logarithmic, or its values were named one by one and lie far apart."""
     different = np.unique(x)
     if different[0] <= 0.0 or len(different) < 2:
         return False

@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fit:
-    """What a fit came to. parameters, measured: of the best point; target: what was asked; misfit: root of the mean square of
+    """Result of a fit. parameters, measured: of the best point; target: what was asked; misfit: root of the mean square of
     (measured - target) / target; allowed: up to which misfit the target is reached.
 
     sensitivity: for each parameter and measure the percent of the target by which the measure changes where the parameter grows
@@ -56,7 +56,7 @@ class Fit:
 
     @property
     def reached(self) -> bool:
-        """Whether the scene measures the target."""
+        """True if the scene measures the target."""
         return self.misfit <= self.allowed
 
     def scene(self) -> Scene:
@@ -70,7 +70,7 @@ class Fit:
         return Simulation(self.scene(), **self.settings)
 
     def lines(self) -> list[str]:
-        """In words."""
+        """Lines of the result, in words."""
         verdict = "found" if self.reached else "NOT reached, nearest"
         said = [
             f"{'' if k else verdict:12} {name} = {value:.6g}" for k, (name, value) in enumerate(self.parameters.items())
@@ -230,7 +230,7 @@ class _Search:
         return np.array([self.tried.get(place, unknown) for place in map(tuple, places.tolist())])
 
     def parameters(self, place: Iterable[float]) -> dict[str, float]:
-        """Of a place."""
+        """Parameters by path at a place, of which each number is a part of its range, from 0 to 1."""
         return {axis.path: axis.at(float(u)) for axis, u in zip(self.axes, place)}
 
     def misfits(self, places: Floats) -> Floats:

@@ -38,7 +38,7 @@ class SweepFolder(StudyFolder):
 
     @property
     def batches(self) -> Path:
-        """Where workers put what they have done."""
+        """Folder into which workers put what they have done."""
         return self.path / BATCHES
 
     def _batches(self) -> list[str]:

@@ -38,7 +38,7 @@ class Number:
     unit: str = ""
 
     def of(self, found: Sequence[float]) -> float:
-        """Of all readings, nan left out where it is no last one."""
+        """Statistic of all readings; those that are nan are left out where it is not the last one."""
         if self.statistic == "last":
             return float(found[-1])
         known = [value for value in found if not math.isnan(value)]
@@ -57,7 +57,7 @@ class Measures:
 
     @property
     def names(self) -> list[str]:
-        """Of the numbers; functions may give several of their own."""
+        """Names of the numbers; functions may give several of their own."""
         return [number.name for number in self.numbers]
 
     def unit(self, name: str) -> str:
@@ -70,7 +70,7 @@ class Measures:
         return f"{name} [{unit}]" if unit else name
 
     def identity(self) -> list[str]:
-        """What they are, functions by their source."""
+        """Names of the measures, and the source of those that are functions, by which they are told apart."""
         return [*self.names, *(f"{name} {_source(one)}" for name, one in self.functions.items())]
 
     def run(self, simulation: Any, duration: float, fps: float) -> dict[str, float]:
@@ -105,7 +105,7 @@ class Measures:
 
 
 def measures_of(given: Any, scene: Scene) -> Measures:
-    """Of names and functions, one or several; None: each number of each probe at the end, or, without any, the energy.
+    """Measures of names and functions, one or several; None: each number of each probe at the end, or, without any, the energy.
 
     Names: `probes.load`, `probes.load.tension`, `energy.total` and its parts, `contacts`, `penetration`, `largest_speed`, each
     with `.max`, `.min` or `.mean` for that of all frames; or `module:function`. A function gets the Simulation at the end, and
@@ -211,7 +211,7 @@ def loaded(function: Any) -> Callable[[Any], Any]:
 
 
 def _numbers(name: str, value: Any) -> dict[str, float]:
-    """What a function returned, by names."""
+    """Numbers that a function returned, by name. Raises SceneError where there are others, or a name is reserved."""
     pairs = list(value.items()) if isinstance(value, Mapping) else [(name, value)]
     if taken := [str(key) for key, _ in pairs if str(key) in RESERVED]:
         raise SceneError("measure", says=f"{name}() returned {taken[0]!r}, a column of every table; name it otherwise")

@@ -91,7 +91,7 @@ def _about(sweep: Any) -> Iterator[str]:
 
 
 def _effects(groups: list[Group], paths: list[str], indices: dict[str, tuple[float, float]] | None) -> Table:
-    """Of each parameter, the strongest first."""
+    """Table of the effect of each parameter, the strongest first."""
     head = ["parameter", "share", "lowest mean", "highest mean", *(["first", "total"] if indices else [])]
     cells = []
     for effect in main_effects(groups, paths):

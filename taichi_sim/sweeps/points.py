@@ -36,15 +36,15 @@ class Point:
 
     @property
     def key(self) -> str:
-        """What it is known by, in every run of the command."""
+        """Key of the point, in every run of the command."""
         text = json.dumps([sorted(self.parameters.items()), self.seed])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class Row:
-    """What a point came to. error: why it has no measures, or ""; wall: seconds of work, compiling included; compiled: whether a
-    simulation was made for it rather than used again."""
+    """Result of a point. error: why it has no measures, or ""; wall: seconds of work, compiling included; compiled: whether
+    a simulation was made for it rather than used again."""
 
     key: str
     parameters: dict[str, Any]
@@ -58,15 +58,15 @@ class Row:
 
     @classmethod
     def of(cls, point: Point, **more: Any) -> "Row":
-        """Of a point."""
+        """Make the row of a point."""
         return cls(point.key, dict(point.parameters), point.seed, **more)
 
 
 @dataclass(frozen=True)
 class Job:
-    """How points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation over the scene's own;
-    folder: where batches of rows go, on all machines; mark: what their names begin with, other for each sweep; apart: in a
-    process that does nothing else."""
+    """Settings with which points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation
+    over the scene's own; folder: where batches of rows go, on all machines; mark: start of their names, which differs
+    between sweeps; apart: in a process that does nothing else."""
 
     subject: Subject
     measures: Measures
@@ -176,7 +176,7 @@ def run_batch(job: Job, points: Sequence[Point]) -> list[Row]:
 
 
 def batch_file(folder: Path, rows: Sequence[Row], mark: str) -> Path:
-    """Where rows of the sweep with that mark go."""
+    """File for rows of the sweep with that mark."""
     return folder / f"{mark}{rows[0].key}_{len(rows)}.jsonl"
 
 

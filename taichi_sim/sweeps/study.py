@@ -47,11 +47,11 @@ class Study:
 
     @property
     def rows(self) -> dict[str, Row]:
-        """By key."""
+        """Rows by key."""
         return self.kept.rows
 
     def missing(self, points: Sequence[Point]) -> list[Point]:
-        """Those without a row, each once, those of one structure after each other."""
+        """Points without a row, each once, those of one structure after each other."""
         missing = [point for key, point in {point.key: point for point in points}.items() if key not in self.rows]
         kinds = self._kinds
         missing.sort(

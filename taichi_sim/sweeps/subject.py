@@ -71,7 +71,7 @@ class FileSubject(Subject):
             return Reader(self.file, self.text, document, None, self.allow_outside).scene()
 
     def identity(self) -> str:
-        """Of what the file says, comments apart, and of all that it reads: arrays, meshes."""
+        """Identity by what the file says, comments apart, and by all that it reads: arrays, meshes."""
         try:
             made = contents_of(self._made({}, None))
         except (SceneError, ValueError):  # it lacks what the parameters are
@@ -98,7 +98,7 @@ class FunctionSubject(Subject):
 
     @property
     def function(self) -> Callable[..., Scene]:
-        """What makes scenes."""
+        """Function that makes scenes. Raises SceneError where its file was changed meanwhile."""
         if self._function is None:
             assert self.file is not None
             if sources_of(self.file) != self._sources:
@@ -129,8 +129,8 @@ class FunctionSubject(Subject):
 
 
 def subject_of(what: Any, folder: Path, allow_outside: bool = False) -> Subject:
-    """What a user gives: a name as the commands take it, a function that returns a Scene, or a Scene, whose file is written to
-    the folder. Raises SceneError or OSError."""
+    """Subject of what a user gives: a name as the commands take it, a function that returns a Scene, or a Scene, whose file
+    is written to the folder. Raises SceneError or OSError."""
     if isinstance(what, Scene):
         folder.mkdir(exist_ok=True)
         what.save(folder / "scene.toml")

@@ -25,7 +25,7 @@ TABLE_EVERY = 5.0  # s
 
 
 class Sweep:
-    """What a sweep came to. rows: by point, in order; those of an interrupted one are fewer than `points`. folder: where all of
+    """Result of a sweep. rows: by point, in order; those of an interrupted one are fewer than `points`. folder: where all of
     it is, or None."""
 
     def __init__(
@@ -73,8 +73,8 @@ class Sweep:
         }
 
     def lines(self, most: int = 20) -> Iterator[str]:
-        """What was measured, a line for each combination of parameters and each measure: the mean over seeds with the interval
-        in which it lies with 95 % confidence, or the value of one run. most: combinations that are shown."""
+        """Yield what was measured, a line for each combination of parameters and each measure: the mean over seeds with the
+        interval in which it lies with 95 % confidence, or the value of one run. most: combinations that are shown."""
         for measure in self.measures:
             groups = [group for group in grouped(self.rows, measure) if len(group.values)]
             for group in groups[:most]:

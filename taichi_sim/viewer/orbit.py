@@ -59,7 +59,7 @@ class Orbit:
         self._place(np.asarray(self.camera.target), back)
 
     def pan(self, dx: float, dy: float) -> None:
-        """What is as deep as the target follows a drag of dx, dy px."""
+        """Move the camera so that points as deep as the target follow a drag of dx, dy px."""
         right, up, _ = self.camera.axes()
         shift = (dy * up - dx * right) * self._distance / self._focal
         back = np.subtract(self.camera.eye, self.camera.target)
@@ -76,7 +76,7 @@ class Orbit:
         self.camera = replace(self.camera, eye=triple(eye), target=triple(target))
 
     def see(self, points: Floats) -> Seen:
-        """Where points (k, 3) m are in the picture."""
+        """Places in the picture of points (k, 3) m."""
         local = (points - np.asarray(self.camera.eye)) @ self.camera.axes().T
         depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
         scale = self._focal / depth
@@ -90,14 +90,14 @@ class Orbit:
 
 
 class Slide:
-    """The same for a 2D scene, where there is one depth and nothing turns."""
+    """A camera of a 2D scene with the functions of `Orbit`; there is one depth and nothing turns."""
 
     def __init__(self, camera: Flat, size: tuple[int, int]) -> None:
         self.camera, self.size = camera, size
         self._first = camera.scale
 
     def turn(self, dx: float, dy: float) -> None:
-        """As `pan`."""
+        """Pan by a drag of dx, dy px, since nothing turns in 2D."""
         self.pan(dx, dy)
 
     def pan(self, dx: float, dy: float) -> None:
@@ -113,7 +113,7 @@ class Slide:
         self.camera = Flat(tuple(low.tolist()), scale)
 
     def see(self, points: Floats) -> Seen:
-        """Where points (k, 2) m are in the picture; all as deep."""
+        """Places in the picture of points (k, 2) m; all as deep."""
         at = (points - np.asarray(self.camera.low)) * self.camera.scale
         at[:, 1] = self.size[1] - at[:, 1]
         return Seen(at, np.zeros(len(at)), np.full(len(at), self.camera.scale))

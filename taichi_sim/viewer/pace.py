@@ -32,7 +32,7 @@ class Pace:
         return due
 
     def made(self, steps: int, seconds: float) -> None:
-        """So many steps took so many seconds."""
+        """Note that so many steps took so many seconds."""
         if steps:
             now = seconds / steps
             self._cost = now if self._cost == 0 else (self._cost + now) / 2

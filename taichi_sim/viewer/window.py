@@ -113,7 +113,7 @@ class _ClosedError(Exception):
 
 
 class _Screen:
-    """What ti.GUI shows: open from the start, so that those who wait see what for."""
+    """Window of ti.GUI, which is open from the start, so that those who wait see what for."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         from taichi_sim.device.engine import ENGINE, ti
@@ -219,7 +219,7 @@ class _Window:
 
     @property
     def ended(self) -> bool:
-        """Whether time has come to its end."""
+        """True if time has come to its end."""
         return self._left() == 0
 
     def _reset(self) -> None:

@@ -36,7 +36,7 @@ TRIALS = 10_000
 
 
 def coincident(n: int, of_short: int, contacts: str, short: bool) -> Verdict:
-    """So many balls in one place."""
+    """Balls, n of them, in one place."""
     n, scene = of_short if short else n, Scene(dim=3)
     mass = 10 ** np.random.default_rng(0).uniform(-1, 1, n)
     scene.add_balls(np.full((n, 3), 0.3), radius=R, mass=mass)
@@ -235,7 +235,7 @@ def all_pinned(contacts: str, short: bool) -> Verdict:
 
 
 def empty(contacts: str, short: bool) -> Verdict:
-    """No ball at all, but walls and gravity."""
+    """Scene without a ball, but with walls and gravity."""
     scene = on_floor(3)
     with simulation(scene, contacts) as sim:
         sim.step(100)

@@ -39,7 +39,7 @@ def world_offset(contacts: str, short: bool) -> Verdict:
 
 
 def _right_pairs(scene: Scene, contacts: str) -> Verdict:
-    """What one iteration changed, against pairs found by brute force.
+    """Check of what one iteration changed, against pairs found by brute force.
 
     Of two balls that touch and approach at least one must change; no ball may that has no such pair in its group of balls that
     touch each other, for impulses go no further.

@@ -47,7 +47,7 @@ def _net(stiffness: float, damping: float) -> Scene:
 
 
 def _lost_momentum(sim: Simulation, before: Floats) -> float:
-    """As a part of sum m |v| at the start."""
+    """Largest change of the momentum, as a part of sum m |v| at the start."""
     scene = sim.scene
     whole = float(np.sum(scene.mass * np.linalg.norm(scene.velocity, axis=1)))
     return float(np.max(np.abs(sim.momentum() - before))) / whole

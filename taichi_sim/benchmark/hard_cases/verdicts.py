@@ -1,4 +1,4 @@
-"""What hard cases share: the verdict, the table of them, and the simulation that they run in."""
+"""Parts that hard cases share: the verdict, the table of them, and the simulation that they run in."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -17,7 +17,7 @@ H = 1e-3  # s
 
 
 class Verdict(NamedTuple):
-    """What became of a case. figure: the number that its bound is about; refused: a warning or an error came before step 1."""
+    """Verdict on a case. figure: the number that its bound is about; refused: a warning or an error came before step 1."""
 
     passed: bool
     figure: float
@@ -34,7 +34,7 @@ class Case(NamedTuple):
 
 
 class RefusedError(Exception):
-    """What a simulation says before its first step, and the safe step [s]."""
+    """Refusal of a simulation before its first step, in words, and the safe step [s]."""
 
     def __init__(self, words: str, safe: float) -> None:
         super().__init__(words)
@@ -76,7 +76,8 @@ def show(title: str, cases: Sequence[Case], columns: Sequence[str]) -> bool:
 
 
 def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
-    """On the CPU, with what the process runs or double precision; warnings are the business of the case that is about them."""
+    """Simulation on the CPU, with what the process runs or double precision; warnings are the business of the case that is
+    about them."""
     _start()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -84,7 +85,8 @@ def simulation(scene: Scene, contacts: str, **settings: Any) -> Simulation:
 
 
 def heeding(scene: Scene, integrator: str, **settings: Any) -> Simulation:
-    """The same for a method, dt "auto" if none is given. Raises RefusedError for a warning, or a step that it does not find."""
+    """Simulation on the CPU by a method, dt "auto" if none is given. Raises RefusedError for a warning, or where a
+    simulation finds no step."""
     _start()
     try:
         with warnings.catch_warnings():

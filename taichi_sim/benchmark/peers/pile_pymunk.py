@@ -21,7 +21,7 @@ class PilePymunk:
         self.start(pile)
 
     def start(self, pile: Balls) -> None:
-        """From the start of this pile on."""
+        """Begin at the start of this pile."""
         self._pile = pile
         self.reset()
 

@@ -1,4 +1,4 @@
-"""Where the error of a scene comes from at its own settings: the step, the mesh, single precision."""
+"""Sources of the error of a scene at its own settings: the step, the mesh, single precision."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,8 @@ HIGHEST_ORDER = 3.0  # above it the finer difference is small by chance: springs
 
 @dataclass(frozen=True)
 class Budget:
-    """In the unit of what is compared; None: not measured, or not known. Each is the largest at the moments compared.
+    """Parts of an error, in the unit of what is compared; None: not measured, or not known. Each is the largest at the
+    moments compared.
 
     value: of the quantity, the largest at these moments, or how far it has gone; of positions, the largest rms displacement.
     time: of the last moment. order: of the mesh, as observed.
@@ -42,7 +43,7 @@ class Budget:
     meshed: bool = True  # springs or cells, whose mesh may be finer
 
     def lines(self) -> Iterator[str]:
-        """In words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
+        """Line of words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
         parts = {"step": self.step, "mesh": self.mesh, "single precision": self.single}
         if not self.meshed:
             del parts["mesh"]

@@ -1,4 +1,4 @@
-"""What the commands `report` and `tune` take: a scene and options, checked before anything runs."""
+"""Arguments of the commands `report` and `tune`: a scene and options, checked before anything runs."""
 
 import math
 from collections.abc import Mapping

@@ -1,4 +1,5 @@
-"""What errors are of: the positions of all balls, or one quantity that a probe names; and what they are relative to."""
+"""Quantities that errors are of: the positions of all balls, or one quantity that a probe names; and what they are relative
+to."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -41,22 +42,23 @@ class Compared:
 
     @property
     def unit(self) -> str:
-        """Of errors; empty where the quantity is a plain number."""
+        """Unit of errors; empty where the quantity is a plain number."""
         return "m" if self.quantity is None else self.quantity.unit
 
     @property
     def name(self) -> str:
-        """What is compared, in words."""
+        """Name of what is compared, in words."""
         return "positions" if self.quantity is None else self.quantity.name
 
     def errors(self, a: Any, b: Any) -> list[Floats]:
-        """How far two outcomes or references lie apart at each moment: (n',) m, or (1,) in the quantity's unit."""
+        """Distances of two outcomes or references at each moment: (n',) m, or (1,) in the quantity's unit."""
         if self.quantity is None:
             return [distance(self.scene, x, y) for x, y in zip(a.position, b.position)]
         return [np.array([np.linalg.norm(x - y)]) for x, y in zip(a.quantity, b.quantity)]
 
     def motion(self, outcome: Any, energy: float) -> Floats:
-        """What errors are relative to, (parts,) at each moment of an outcome. energy: the largest kinetic and spring one [J]."""
+        """Sizes that errors are relative to, (parts,) at each moment of an outcome. energy: the largest kinetic and spring
+        one [J]."""
         if self.quantity is None:
             return np.array([rms(distance(self.scene, x, self.scene.position)) for x in outcome.position])
         values = np.array(outcome.quantity)
@@ -65,7 +67,7 @@ class Compared:
         return np.linalg.norm(values - (outcome.begin if self.quantity.from_start else 0.0), axis=1)
 
     def size_in_words(self) -> str:
-        """What errors are relative to."""
+        """Name of the size that errors are relative to."""
         if self.quantity is None:
             return "rms displacement of the balls"
         if self.quantity.of_energy:

@@ -41,7 +41,7 @@ class Findings:
 
     @property
     def front(self) -> list[Row]:
-        """What none beats in both speed and error."""
+        """Rows that none beats in both speed and error."""
         return pareto(self.rows, self.reference.known)
 
     @property
@@ -77,11 +77,11 @@ class Findings:
 
     @property
     def compared(self) -> Compared:
-        """What errors are of."""
+        """Quantity that errors are of."""
         return Compared(self.scene, self.plan)
 
     def about(self) -> Iterator[str]:
-        """What was done and how well it is known, a sentence each."""
+        """Sentences on what was done, and on how well it is known."""
         plan, scene, reference = self.plan, self.scene, self.reference
         yield (
             f"Balls: {scene.n_balls}, springs: {scene.n_springs}, in {scene.dim}D; simulated: {plan.duration:g} s; size of the"
@@ -151,7 +151,7 @@ class Findings:
             yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the motion."
 
     def lines(self) -> Iterator[str]:
-        """For the terminal."""
+        """Lines for the terminal."""
         yield f"report       {self.plan.name}"
         yield from self.about()
         if self.front:

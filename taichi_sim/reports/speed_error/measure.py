@@ -1,4 +1,4 @@
-"""From a trial to a row."""
+"""Rows of a report, made from trials."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def measure(
 
 
 def row_of(trials: Trials, reference: Reference, outcome: Outcome, precision: str, method: str, step: Step) -> Row:
-    """What an outcome says beside the reference. A run that ended early has no error, and for its cost what its first
+    """Row of an outcome compared with the reference. A run that ended early has no error, and for its cost what its first
     step promised."""
     scene, duration = trials.scene, trials.plan.duration
     safe = stability(scene, named(method)).dt_any_shape

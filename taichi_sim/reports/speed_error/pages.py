@@ -19,7 +19,7 @@ a usual run takes longer. Bold: no other run is both faster and more accurate.""
 
 
 def write_pages(findings: Findings, folder: ReportFolder) -> None:
-    """Both pages and both pictures, each complete when it appears."""
+    """Write both pages and both pictures, each complete when it appears."""
     figure = plot.draw(findings)
     files: dict[str, bytes] = {}
     picture = ""

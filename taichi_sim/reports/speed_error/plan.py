@@ -27,8 +27,8 @@ NICE = (5.0, 2.5, 2.0, 1.0)
 
 @dataclass(frozen=True)
 class Plan:
-    """What a report is asked to do. duration [s]; steps [s], or None for halvings that are chosen by method; tolerance: a part
-    of the motion, see `Compared`; most: wall seconds that one run may take. quantity: the name of one, or None for positions.
+    """Settings of a report. duration [s]; steps [s], or None for halvings that are chosen by method; tolerance: a part of
+    the motion, see `Compared`; most: wall seconds that one run may take. quantity: the name of one, or None for positions.
     resolutions: find the error of the mesh, too."""
 
     name: str

@@ -34,7 +34,7 @@ def _none() -> Floats:
 
 @dataclass(frozen=True)
 class Reference:
-    """What the runs of the reference say, an entry for each of the PARTS of the duration; without one, none."""
+    """Results of the reference's runs, an entry for each of the PARTS of the duration; empty where there is no reference."""
 
     method: str
     step: float  # s, of the finer run
@@ -55,23 +55,23 @@ class Reference:
 
     @property
     def parts(self) -> int:
-        """How many parts of the duration come before the horizon."""
+        """Number of parts of the duration that end before the horizon."""
         gone = np.flatnonzero(~(self.parting <= PARTED))
         return int(gone[0]) if len(gone) else len(self.parting)
 
     @property
     def known(self) -> float:
-        """To what the reference is known, at the worst moment before the horizon; infinite where there is none."""
+        """Error up to which the reference is known, at the worst moment before the horizon; infinite where there is none."""
         return float(self.difference[: self.parts].max()) if self.parts else np.inf
 
     @property
     def motion(self) -> float:
-        """What errors are relative to, the largest before the horizon."""
+        """Size that errors are relative to, the largest before the horizon."""
         return float(self.displacement[: self.parts].max(initial=0.0))
 
     @property
     def growth(self) -> float:
-        """How many times a small difference at the start has grown at the horizon or the end."""
+        """Factor by which a small difference at the start has grown at the horizon or the end [1]."""
         return float(self.parting[: max(1, self.parts)].max(initial=0.0)) / APART
 
     @property
@@ -81,11 +81,11 @@ class Reference:
 
     @property
     def chaotic(self) -> bool:
-        """Whether the horizon comes before the end."""
+        """True if the horizon comes before the end."""
         return bool(len(self.position)) and self.parts < PARTS
 
     def moves(self, scene: Scene) -> bool:
-        """Whether anything moves by more than rounding; taken to be so without a reference."""
+        """True if anything moves by more than rounding; taken to be so without a reference."""
         if not len(self.position):
             return True
         return bool(np.any(np.abs(self.position - scene.position) > 1e-12 * self.size))
@@ -136,7 +136,7 @@ def _by(trials: Trials, method: str, seconds: float, fine_enough: float, work: f
 
 
 def _parting(trials: Trials, one: Outcome, other: Outcome) -> Floats:
-    """What `Reference.parting` is, of two runs."""
+    """Parting of two runs, as in `Reference.parting`."""
     unit = trials.size if trials.compared.quantity is None else _motion(trials, one).max() or 1.0
     parting = [rms(error) / unit for error in trials.compared.errors(one, other)]
     return np.array(parting + [np.inf] * (PARTS - len(parting)))

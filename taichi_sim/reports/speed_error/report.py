@@ -136,7 +136,7 @@ def _rows(trials: Trials, folder: ReportFolder, reference: Reference, precision:
 
 
 def _needs_statistics(reference: Reference, rows: list[table.Row]) -> bool:
-    """Whether errors of positions alone do not tell: chaos, contacts seen, or contacts between samples, that keep errors up."""
+    """True if errors of positions alone do not tell: chaos, contacts seen, or contacts between samples, that keep errors up."""
     stuck = reference.touch and table.stuck(table.with_orders(rows, reference.known), reference.known)
     return reference.chaotic or bool(reference.contacts or stuck)
 
@@ -153,8 +153,8 @@ def _seeds(trials: Trials, folder: ReportFolder, precision: str) -> list[statist
 
 
 def floor_of(scene: Scene, plan: Plan, reference: Reference) -> float:
-    """What single precision can resolve, as a part of the motion: the rounding of the farthest position, which grows along the
-    way like any other small difference. 0 for a quantity, of which that is not known before it runs."""
+    """Least error that single precision can resolve, as a part of the motion: the rounding of the farthest position, which
+    grows along the way like any other small difference. 0 for a quantity, for which it is not known before it runs."""
     if plan.quantity is not None or not reference.motion:
         return 0.0
     rounding = 2.0**-24 * float(np.max(np.abs(scene.position), initial=0.0)) / reference.motion

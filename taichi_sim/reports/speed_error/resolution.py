@@ -1,4 +1,4 @@
-"""The same scene file with finer meshes: every block, sheet and rope of a material with half and a quarter of the spacing.
+"""Finer meshes of a scene file: every block, sheet and rope of a material with half and a quarter of the spacing.
 
 A grid of n balls along an axis gets 2 n - 1, so that each ball of the coarse mesh is one of the finer ones, where it can be
 compared. Balls that the file names go with it; between two that are pinned or led, new ones are pinned or led as well.
@@ -140,7 +140,7 @@ class _Level:
         return tuple(table.get("resolution", default))
 
     def _is_preset(self, kind: str, table: dict[str, Any]) -> bool:
-        """Whether the material by its name makes the shape of a material."""
+        """True if the material by its name makes the shape of a material."""
         preset = self.coarse.preset(table.get("material", ""))
         known = any(getattr(preset, key, None) is not None for key in MATERIAL[kind])
         return known and not any(key in table for key in CHAIN)

@@ -41,12 +41,12 @@ class Row:
 
     @property
     def key(self) -> tuple[str, str, float]:
-        """What tells rows of one report apart."""
+        """Key that tells rows of one report apart."""
         return self.precision, self.method, self.step
 
     @property
     def clock(self) -> str:
-        """What the time is of: all threads of the processor together; on other devices a clock on the wall."""
+        """Kind of time that is measured: of all threads of the processor together; on other devices of a clock on the wall."""
         return "processor time" if self.device.startswith("cpu") else "wall time"
 
     def __post_init__(self) -> None:
@@ -55,7 +55,7 @@ class Row:
 
 
 def tells(row: Row, known: float) -> bool:
-    """Whether the row's error is one of the method's: it is stable and clear of what the reference is known to [m]."""
+    """True if the row's error is one of the method's: it is stable and clear of what the reference is known to [m]."""
     return row.verdict == STABLE and row.rms_error is not None and row.rms_error > CLEAR_OF_REFERENCE * known
 
 
@@ -85,8 +85,8 @@ def stuck(rows: Sequence[Row], known: float) -> list[str]:
 
 
 def as_fast(row: Row, other: Row) -> bool:
-    """Whether one row takes no longer than another, as far as times can be told apart. By how much is a fixed part, whatever the
-    noise was: a busy machine must not make more rows equal than an idle one."""
+    """True if one row takes no longer than another, as far as times can be told apart. The margin is a fixed part, whatever
+    the noise was: a busy machine must not make more rows equal than an idle one."""
     return (row.seconds or 0.0) <= SAME_TIME * (other.seconds or 0.0)
 
 

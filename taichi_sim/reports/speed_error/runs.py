@@ -16,7 +16,7 @@ class Runs(Work):
         self.words = lambda: "starting"
 
     def expect(self, number: int) -> None:
-        """So many more will follow, or fewer where it is negative."""
+        """Expect so many more runs, or fewer where the number is negative."""
         self.to_come = max(0, self.to_come + number)
         self.total = self._begun + self.to_come
 

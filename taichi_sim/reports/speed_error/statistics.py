@@ -1,4 +1,4 @@
-"""What can be said beyond the horizon: statistics of many runs that start a little apart, with their intervals."""
+"""Statistics beyond the horizon: of many runs that start a little apart, with their intervals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Seed:
 
     @property
     def key(self) -> tuple[str, str, float, int]:
-        """What tells the runs of one report apart."""
+        """Key that tells the runs of one report apart."""
         return self.precision, self.method, self.step, self.seed
 
 
@@ -80,7 +80,7 @@ def one_seed(trials: Trials, precision: str, method: str, step: Step, seed: int)
 
 
 def intervals(seeds: Sequence[Seed]) -> list[Interval]:
-    """What the seeds of each method say together."""
+    """Intervals of the quantities, of the seeds of each method together."""
     groups = {key: [seed for seed in seeds if seed.key[:3] == key] for key in dict.fromkeys(s.key[:3] for s in seeds)}
     judges = {key[0]: own for key, own in groups.items()}  # the last of each precision
     places = [(key, name) for key in groups for name in QUANTITIES]

@@ -52,7 +52,7 @@ class Trial(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What came of a trial; lists have an entry for each part of the duration that was reached."""
+    """Result of a trial; lists have an entry for each part of the duration that was reached."""
 
     device: str
     position: list[Floats]  # (n, dim) m
@@ -255,7 +255,7 @@ class Track:
         return self._clock() - begin
 
     def _passes(self) -> float | None:
-        """What an implicit method has counted so far."""
+        """Number of passes that an implicit method has counted so far; None for others."""
         solved = self.sim.solver()
         return None if solved is None else float(solved.passes)
 

@@ -1,4 +1,4 @@
-"""What every run of a report or of tune needs: the scene, the plan, and the processes that run it."""
+"""Context of every run of a report or of tune: the scene, the plan, and the processes that run it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,12 +26,12 @@ class Trials:
 
     @cached_property
     def compared(self) -> Compared:
-        """What errors are of."""
+        """Quantity that errors are of."""
         return Compared(self.scene, self.plan)
 
     @cached_property
     def size(self) -> float:
-        """Of the scene [m]."""
+        """Size of the scene [m]."""
         return size_of(self.scene)
 
     def own_step(self, method: str | None = None) -> tuple[str, Step]:

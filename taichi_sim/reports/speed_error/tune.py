@@ -87,7 +87,7 @@ def main(
 
 
 def _outcome(compared: Compared, reference: Reference, row: Row, tolerance: float) -> Iterator[str]:
-    """What was allowed, what was found, and the value itself with that error, each on a line of its own."""
+    """Lines of the outcome: the value with its error, what error was allowed, what was found, and its cost."""
     off, unit = row.rms_error or 0.0, compared.unit
     value = measured(reference.motion, off, unit, "step")
     yield f"{'value':12} {compared.size_in_words()}: {value}"
