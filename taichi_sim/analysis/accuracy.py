@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import late_impacts, turning
+from taichi_sim.analysis import late_impacts, shared_loads, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -74,6 +74,8 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
         if (late := setup.h * late_impacts.late_rate(scene, scene.velocity)) > 0.0:
             yield Finding("impact energy", late_impacts.sentence(late), late_impacts.cure(late, setup.h))
         yield from _overlap(scene, setup)
+        if shared_loads.are_read(scene):
+            yield Finding("load", shared_loads.SENTENCE, shared_loads.CURE)
         if setup.loses:
             yield Finding(
                 "crowds",
