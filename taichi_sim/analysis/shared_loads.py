@@ -19,4 +19,4 @@ def are_read(scene: Scene) -> bool:
     loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
     rough = any(scene.materials[k].friction > 0.0 for k in np.unique(scene.material[loose]))
     several = len(scene.walls) + len(scene.colliders) > 1 and np.count_nonzero(loose) > 2
-    return bool(bodies_of(scene)) and several and rough and bool(np.any(scene.gravity != 0.0))
+    return bool(bodies_of(scene) and several and rough and np.any(scene.gravity != 0.0))
