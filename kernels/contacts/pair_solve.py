@@ -165,6 +165,8 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
             restitution = law_of(solver.pairs, i, j).restitution
         target = contact_law.target_speed(speed, restitution, solver.threshold[0], how.impacts)
         fast = speed < -solver.threshold[0]  # an impact: never soft
+        if ti.static(not how.impacts):  # nor for the one iteration that ends a step, which would throw it back
+            target = ti.select(fast, speed, target)
         rebound, bias = 0.0 * speed, RIGID + 0.0 * speed
         if ti.static(solver.model.has_restitution):
             rebound = ti.select(fast and target > 0.0, target, rebound)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import late_impacts, turning
+from taichi_sim.analysis import late_impacts, rebounds, shared_loads, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -47,7 +47,7 @@ class Setup(NamedTuple):
     """Settings with which a scene is run: method, seconds per substep, precision ("f32", "f64"), contacts (`rule`, "off"
     where there are none). compensated: sums of positions keep what rounding takes. give: depth of a soft contact as a part
     of h^2 F / m, F [N] being the load of one solve and m [kg] the contact's mass; 0 where contacts are rigid. loses: crowds
-    are held to their energy by scaling what bounces."""
+    are held to their energy by scaling what bounces. impacts: how those of balls are solved, see `rebounds`."""
 
     method: Method
     h: float
@@ -56,6 +56,7 @@ class Setup(NamedTuple):
     compensated: bool = True
     give: float = 0.0
     loses: bool = False
+    impacts: str = rebounds.IN_TURN
 
 
 class Finding(NamedTuple):
@@ -74,6 +75,10 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
         if (late := setup.h * late_impacts.late_rate(scene, scene.velocity)) > 0.0:
             yield Finding("impact energy", late_impacts.sentence(late), late_impacts.cure(late, setup.h))
         yield from _overlap(scene, setup)
+        if part := rebounds.returned(scene, setup.impacts):
+            yield Finding("rebound", rebounds.sentence(part), rebounds.cure(scene))
+        if shared_loads.are_read(scene):
+            yield Finding("load", shared_loads.SENTENCE, shared_loads.CURE)
         if setup.loses:
             yield Finding(
                 "crowds",

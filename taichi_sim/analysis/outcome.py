@@ -47,11 +47,13 @@ def _grade(value: float, good: float, wrong: float) -> str:
     return "good" if value <= good else "look at it" if value <= wrong else "wrong"
 
 
-def cure_of_depth(squeezes: bool) -> str:
-    """Advice where balls lie deep in something: overlap falls with the step, and hardly with iterations."""
-    if squeezes:
-        return "where something that moves squeezes them, stop it sooner; else take shorter steps"
-    return "take shorter steps"
+def cure_of_depth(squeezes: bool, step: float | None = None) -> str:
+    """Advice where balls lie deep in something: overlap falls with the step, and hardly with iterations. step [s]: in which the
+    fastest ball moves little, where it moves far."""
+    shorter = (
+        "take shorter steps" if step is None else f"take steps of {step:.2g} s, in which the fastest ball moves little"
+    )
+    return f"where something that moves squeezes them, stop it sooner; else {shorter}" if squeezes else shorter
 
 
 def of_depth(part: float, squeezes: bool) -> str:

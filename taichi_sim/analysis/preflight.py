@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from taichi_sim.analysis import turning
+from taichi_sim.analysis import rebounds, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2
 from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
@@ -14,12 +14,13 @@ __all__ = ["cautions"]
 
 FASTEST = 4.0  # radii that a pin may move in a substep
 MOST_TURNED = 0.5  # of its angular momentum, that a method may take from a body in a second
+MOST_RETURNED = 0.225  # of the speed of an impact without restitution: by sweeps, of masses 1:2
 MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 
 def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
-    """Warnings where single precision cannot resolve the scene, something goes through cloth, or substeps let heavy balls
-    sink."""
+    """Warnings where single precision cannot resolve the scene, something goes through cloth, balls come back that should not,
+    or substeps let heavy balls sink."""
     method, h = setup.method, setup.h
     if setup.precision == "f32" and scene.n_balls:
         lost, shows = single_precision(scene, setup)
@@ -34,6 +35,8 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
             )
     if setup.rule != "off":
         yield from map(through, sieves(scene))
+        if (part := rebounds.returned(scene, setup.impacts)) > MOST_RETURNED:
+            yield f"rebound: {rebounds.sentence(part)}; {rebounds.cure(scene)}"
     yield from _of_pins(scene, h)
     yield from _of_motors(scene, h)
     if (turn := turning.at_start(scene, method, h)) is not None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import Setup
+from taichi_sim.analysis.rebounds import AT_ONCE, IN_SWEEPS, IN_TURN
 from taichi_sim.common import memory
 from taichi_sim.common.errors import SceneError
 from taichi_sim.contacts import CONTACT_RULES, ContactRule
@@ -296,7 +297,11 @@ class Assembly:
             give *= 2.0 / contacts.relaxation
         rule = contacts.name if contacts.active else "off"
         rounds = compensates(scene, backend)
-        return Setup(settings.integrator.method, self.h, backend.precision, rule, rounds, give, self.plan.limits_energy)
+        impacts = IN_TURN
+        if self.plan.pairs and not self.plan.impacts_in_turn:
+            impacts = AT_ONCE if contacts.split else IN_SWEEPS if contacts.in_turn else IN_TURN
+        method, loses = settings.integrator.method, self.plan.limits_energy
+        return Setup(method, self.h, backend.precision, rule, rounds, give, loses, impacts)
 
     @property
     def torn(self) -> NDArray[np.bool_] | None:

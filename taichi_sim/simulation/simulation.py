@@ -192,6 +192,8 @@ class Simulation(Reader):
     def run(self, duration: float) -> None:
         """Advance by round(duration / dt) steps; duration in seconds."""
         self.step(round(validation.number("duration", duration, low=0) / self.dt))
+        if not self._still and self._state is not None:
+            self._stepper.look_at_depth(5)
 
     def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
         """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its

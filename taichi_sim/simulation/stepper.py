@@ -32,6 +32,7 @@ from taichi_sim.simulation.state_probe import StateSample
 __all__ = ["Stepper"]
 
 CHUNK, LONGEST_CHUNK = 256, 4096  # substeps between two ends of chunks
+RUSH = 0.2  # of the smallest radius: moves in a substep, above which crowds lie deep in each other
 WORK = 1 << 21  # balls and springs gone through in a chunk of small scenes: its end costs about a hundredth
 LOOKS_PER_BOUND = 16  # from one bound for the present shape to the next, in scenes of at most
 MOST_BOUNDED = 20_000  # balls and springs
@@ -82,6 +83,8 @@ class Stepper:
         driven = bool(scene.moving_pins or scene.motors or given)
         self.driven, self.size = own or moves or driven, size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
+        self._fastest = 0.0  # m/s, of all looks
+        self._rush = RUSH * float(scene.radius.min()) if parts.plan.pairs else np.inf  # m a substep
         self.moved = False  # by steps, since places were set
         # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
         self.largest_motion = 0.0
@@ -152,7 +155,7 @@ class Stepper:
             says = f"ball {sample.bad} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.begin(sample)
-        self.largest_motion = sample.motion
+        self.largest_motion, self._fastest = sample.motion, sample.speed
         self.primed, self.moved = True, False
 
     @property
@@ -239,6 +242,7 @@ class Stepper:
         elif whole:
             self._shorten(growth)
         self.moved = True
+        self._fastest = max(self._fastest, sample.speed)
         if whole:
             self._keep(goes_on=True)
             self._begun = False
@@ -256,9 +260,19 @@ class Stepper:
             self._check_bound()
         self._looks += 1
         self._unseen += substeps
-        if self.squeezes and self._unseen >= CHUNK:
+        if self._unseen >= CHUNK:
+            self.look_at_depth(8)
+
+    def look_at_depth(self, stacklevel: int) -> None:
+        """Warn where balls lie deep in something, if anything here may bring them there: what moves, or speed."""
+        if self._unseen and (self.squeezes or self._rushes):
             self._unseen = 0
-            self.contact_statistics(7)
+            self.contact_statistics(stacklevel)
+
+    @property
+    def _rushes(self) -> bool:
+        """Whether a ball has been so fast that contacts may not have held it."""
+        return self._fastest * self.h > self._rush
 
     def contact_statistics(self, stacklevel: int = 4) -> NDArray[np.float64]:
         """Statistics of all contacts, see kernels.contacts.statistics. Warns once, of the line that many calls further out, where
@@ -268,7 +282,7 @@ class Stepper:
         if self.moved and part > DEEP:
             ball = int(totals[statistics.BALL])
             where = overlap(self.scene, self.parts.state.position, self.time, ball, part)
-            cure = cure_of_depth(self.squeezes)
+            cure = cure_of_depth(self.squeezes, self._rush / self._fastest if self._rushes else None)
             self._warn("depth", f"at t = {self.time:.6g} s {where}; {cure}", stacklevel)
         return totals
 

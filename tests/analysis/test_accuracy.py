@@ -328,6 +328,34 @@ def test_verdicts_go_with_the_scene():
     assert of_energy(0.0, 0.0, scales._replace(closed=False)) == ""
 
 
+def silo(**kinds):
+    """Discs between two walls, on a floor whose load is read; kinds: of their material."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    scene.add_material("grain", **kinds)
+    scene.add_balls([[0.1 * k, R + 0.11 * row] for row in range(8) for k in range(4)], radius=R, material="grain")
+    scene.add_wall((1, 0), -0.06, "grain")
+    scene.add_wall((-1, 0), -0.36, "grain")
+    scene.add_wall((0, 1), 0.0, "grain")
+    return scene
+
+
+def test_the_load_of_a_silo_is_said_to_be_one_of_many():
+    """Where a probe reads it, and friction may hold the balls; a lone floor carries all."""
+    setup = accuracy.Setup(VERLET, 1e-3, PRECISION, "gauss_seidel")
+
+    def finding(scene, reads=True):
+        if reads:
+            scene.add_probe("floor", "force", wall=len(scene.walls) - 1)
+        return next((f for f in accuracy.findings(scene, setup) if f.subject == "load"), None)
+
+    told = finding(silo(friction=0.3))
+    assert "depends on how they came to rest" in told.what
+    assert "let the floor sink" in told.cure
+    alone = silo(friction=0.3)
+    del alone.walls[:2]
+    assert finding(silo(friction=0.3), reads=False) is finding(silo()) is finding(alone) is None
+
+
 def test_where_nothing_touches_nothing_is_said():
     scene = ts.Scene(dim=2)
     scene.add_balls([[0, 1]], radius=0.1, velocity=[[0, 1]])

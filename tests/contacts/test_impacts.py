@@ -5,6 +5,8 @@ import pytest
 from physics_support import F64, simulate, vector
 
 import taichi_sim as ts
+from taichi_sim.analysis import accuracy
+from taichi_sim.analysis.preflight import cautions
 from taichi_sim.shapes import jelly
 
 pytestmark = pytest.mark.long_in("f32")
@@ -216,6 +218,40 @@ def test_nothing_comes_back_where_nothing_bounces():
         assert np.all(np.abs(sim.velocity[top]) < 0.05)
     assert np.all(fastest < 0.02 * speed), fastest / speed
     assert np.all(gain < 1e-3), gain
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rule", "accumulate", "sticks", "most"),
+    [
+        ("jacobi", "ordered", False, 0.2),
+        pytest.param("gauss_seidel", "gather", False, 0.4, marks=pytest.mark.long),
+        pytest.param("gauss_seidel", "ordered", True, 0.4, marks=pytest.mark.long),
+    ],
+)
+def test_little_comes_back_by_iterations_over_all_contacts(rule, accumulate, sticks, most):
+    """e = 0, impacts not in turn: no more of the speed than is said, the heavier ball at 12 heights, its mass 3 to 6 times."""
+    scene, radius, speed = ts.Scene(dim=2, gravity=(0.0, -G)), 0.07, 2.5
+    scene.add_wall((0, 1), 0.0)
+    for k in range(12):
+        at = [(0.5 * k, radius), (0.5 * k, 3 * radius + 0.001 * (k + 1))]
+        scene.add_balls(at, radius=radius, mass=[1.0, 3.0 + 3.0 * (k % 2)], velocity=[(0, 0), (0, -speed)])
+    if sticks:
+        ends = scene.add_balls([(-3.0, 3.0), (-3.5, 3.0)], radius=0.01, pinned=True)
+        scene.add_springs([ends], stiffness=100.0, collides=True)
+    fastest = 0.0
+    with simulate(scene, (accumulate, "fused"), dt=7e-4, contacts=rule) as sim:
+        setup = sim.setup
+        for _ in range(90):
+            sim.step(1)
+            fastest = max(fastest, sim.velocity[1:24:2, 1].max() / speed)
+    assert fastest < most
+    told = next(f for f in accuracy.findings(scene, setup) if f.subject == "rebound")
+    assert ("sticks" in told.cure) is sticks
+    said = float(told.what.split("up to ")[1].split()[0])
+    assert 0.2 * said < fastest < 1.1 * said
+    warned = [caution for caution in cautions(scene, setup) if caution.startswith("rebound: ")]
+    assert len(warned) == (rule == "gauss_seidel")
 
 
 @pytest.mark.slow

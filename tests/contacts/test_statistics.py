@@ -1,5 +1,8 @@
 """What a simulation says of its contacts, against brute force in float64, in both drivers, and against stacks done by hand."""
 
+import warnings
+from pathlib import Path
+
 import numpy as np
 import pytest
 import reference
@@ -152,3 +155,25 @@ def test_frames_of_an_export_hold_what_the_simulation_says(stack, tmp_path):
     assert summary.contacts == last
     assert f"{last.number} at the end" in "\n".join(summary.lines())
     assert stack.frame().contacts is None  # a frame by itself does not cost a look
+
+
+@pytest.mark.slow
+def test_a_run_whose_balls_end_deep_in_each_other_says_so_and_names_the_step():
+    """Discs of masses 1 to 300 thrown together at 1.8 radii a step: warned of once; with the step that it names they are not."""
+    rng = np.random.default_rng(3)
+    x = rng.uniform(-0.5, 0.5, (70, 2))
+    scene = ts.Scene(dim=2)
+    scene.add_balls(x, velocity=-110.0 * x, radius=0.03, mass=300.0 ** rng.uniform(0.0, 1.0, 70))
+
+    def said(dt):
+        with simulate(scene, dt=dt, substeps=1) as sim, warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            sim.run(0.007)
+            assert all(Path(w.filename) == Path(__file__) for w in seen)
+            return [str(w.message) for w in seen if "of the smaller radius" in str(w.message)], sim.contacts()
+
+    (text,), deep = said(1e-3)
+    assert f"overlap by {deep.relative_penetration:.2g} of the smaller radius" in text
+    step = float(text.split("take steps of ")[1].split()[0])
+    assert 0.05e-3 < step < 0.15e-3
+    assert said(step)[0] == []
