@@ -15,7 +15,7 @@ CURE = "let the floor sink by a radius before you read the force, or take the me
 
 
 def are_read(scene: Scene) -> bool:
-    """Whether a force or impulse is asked of one of several surfaces that loose balls with friction may lie on."""
+    """True if a force or impulse is asked of one of several surfaces that loose balls with friction may lie on."""
     loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
     rough = any(scene.materials[k].friction > 0.0 for k in np.unique(scene.material[loose]))
     several = len(scene.walls) + len(scene.colliders) > 1 and np.count_nonzero(loose) > 2

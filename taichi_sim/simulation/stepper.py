@@ -271,7 +271,7 @@ class Stepper:
 
     @property
     def _rushes(self) -> bool:
-        """Whether a ball has been so fast that contacts may not have held it."""
+        """True if a ball has been so fast that contacts may not have held it."""
         return self._fastest * self.h > self._rush
 
     def contact_statistics(self, stacklevel: int = 4) -> NDArray[np.float64]:
