@@ -155,7 +155,7 @@ def iterate_islands(solver: ti.template(), ball: ti.template(), now):
                     if solver.model.inverse_mass[i] == 0.0:
                         r = root_of(solver, j)
                         begin_island(solver, r, now)
-                    add_change(solver, i, j, c, r)
+                    add_change(solver, ball, i, j, c, r)
                     if change > solver.threshold[0]:
                         busy = 1
                         disturb(solver, i, now)
@@ -306,7 +306,7 @@ def extend_contacts(solver: ti.template(), i):
 
 
 @ti.func
-def add_change(solver: ti.template(), i, j, c, r):
+def add_change(solver: ti.template(), ball: ti.template(), i, j, c, r):
     """Add to the sums of the island of root r what an iteration changed by the normal impulse of contact c of balls i and j,
     and limit how far this may go on."""
     accumulated = solver.pairs.link[c].impulse
@@ -316,7 +316,12 @@ def add_change(solver: ti.template(), i, j, c, r):
     solver.velocity_change[j] = solver.velocity_change[j] + solver.model.inverse_mass[j] * p
     if change < 0.0:
         solver.longest_extension[r] = ti.min(solver.longest_extension[r], accumulated / -change)
-    solver.slope[r] = solver.slope[r] - pair_solve.present_target(solver, i, j, c, accumulated) * change
+    given = -pair_solve.present_target(solver, i, j, c, accumulated)  # m/s, that the island's own balls do not change
+    if solver.model.inverse_mass[i] == 0.0:
+        given -= ball[i].v.dot(solver.pairs.contact[c].normal)
+    if solver.model.inverse_mass[j] == 0.0:
+        given += ball[j].v.dot(solver.pairs.contact[c].normal)
+    solver.slope[r] = solver.slope[r] + given * change
 
 
 @ti.func

@@ -83,7 +83,7 @@ def note(walls: ti.template(), i):
 @ti.func
 def changed(walls: ti.template(), i):
     """Impulse [N s] that the iteration added to ball i along the normals, how many times it may be added again before a wall
-    pulls, and its work at the target speeds [J]."""
+    pulls, and its work at the target speeds of the walls, which may move [J]."""
     p = ti.Vector.zero(float, walls.model.dim)
     longest = UNBOUNDED_EXTENSION + 0.0 * walls.model.radius[i]
     work = 0.0 * walls.model.radius[i]
@@ -92,7 +92,8 @@ def changed(walls: ti.template(), i):
         if walls.is_solved(i * walls.count + k):
             change = last_change(walls.contact, i * walls.count + k, contact.impulse)
             p += change * walls.normal(i, k)
-            work += contact.target * change
+            still = ti.Vector.zero(float, walls.model.dim)
+            work += (contact.target - walls.relative(still, i, k).dot(walls.normal(i, k))) * change
             if change < 0.0:
                 longest = ti.min(longest, contact.impulse / -change)
     return p, longest, work
