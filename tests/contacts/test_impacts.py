@@ -373,3 +373,35 @@ def test_a_ball_in_a_hollow_box_meets_the_next_face_in_time():
             furthest = max(furthest, float(sim.position[0, 0]))
         assert furthest < 1.0 - radius + 0.01 * radius
         np.testing.assert_allclose(sim.velocity[0, 0], -0.7 * speed, rtol=1e-6 if F64 else 1e-3)
+
+
+# The same seen from what moves -----------------------------------------------------------------------------------------
+
+
+def pinched(floor, speed):
+    """Light balls that fall on a floor that moves with `speed` [m/s], each under a heavy one; velocities from the floor (n, 2)."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    scene.add_material("rubber", friction=0.3)
+    r, x = 0.04, np.arange(6) * 1.0
+    light = np.stack([x, np.full(6, r)], axis=1)
+    heavy = light + np.stack([0.02 + 0.004 * x, 2.05 * r - 0.002 * x], axis=1)
+    moves = np.array((0.4, speed))
+    for at, mass, falls in ((light, 0.8, -1.7), (heavy, 7.0, -0.9)):
+        scene.add_balls(at, radius=r, mass=mass, velocity=np.array((0.2, falls)) + moves, material="rubber")
+    if floor == "box":
+        box = ts.Box((2.5, -0.5), (20, 1), material="rubber", path=[(0.0, (0, 0)), (10.0, tuple(10 * moves))])
+        scene.add_collider(box)
+    else:
+        below = scene.add_balls(light - (0, 2 * r), radius=r, material="rubber", pinned=range(6))
+        scene.add_moving_pins(below, path=[(0.0, (0, 0)), (10.0, tuple(10 * moves))])
+    with simulate(scene, dt=1e-3, substeps=1) as sim:
+        sim.step(4)
+        return sim.velocity[:12] - moves
+
+
+@pytest.mark.skipif(not F64, reason="balls that are pinched amplify the rounding of single precision")
+@pytest.mark.parametrize("floor", ["box", "pins"])
+def test_a_ball_pinched_by_what_moves_goes_as_seen_from_there(floor):
+    still = pinched(floor, 0.0)
+    for speed in (1.2, -1.2):
+        np.testing.assert_allclose(pinched(floor, speed), still, atol=1e-9)
