@@ -55,9 +55,7 @@ class Chain:
         """Drop what belonged to an engine that was stopped."""
         if cls._program is not program():
             cls._program = program()
-            link = cls.link.func
-            link.compiled, link.taichi_functions = None, {}
-            link.mapper.mapping.clear()
+            _drop(cls.link.func)
 
     @ti.func
     def run(self, role, h, time):
@@ -81,13 +79,35 @@ class Chain:
                 self.link(number + 1, role, h, time)
 
 
+def _drop(link: Any) -> None:
+    """Compile a real function anew when it is called next."""
+    link.compiled, link.taichi_functions = None, {}
+    link.mapper.mapping.clear()
+
+
 def _install() -> None:
-    """Make the engine write what is inlined into a function there, and not into the kernel."""
+    """Make the engine write what is inlined into a function there, and not into the kernel; and drop a function whose
+    compilation ended early (an interrupt, an error in a force), which the engine would take for an empty one from then on."""
     from taichi.lang import impl, kernel_impl
 
     tree_and_context = kernel_impl._get_tree_and_ctx
     if tree_and_context.__module__ == __name__:
         return
+    link = Chain.link.func
+    compile_link = link.do_compile
+
+    def compile_whole(**given: Any) -> None:
+        around = impl.get_runtime().compiling_callable
+        try:
+            compile_link(**given)
+        except BaseException:
+            impl.get_runtime().compiling_callable = around
+            _drop(link)
+            link.func_id = kernel_impl.Func.function_counter  # the program keeps a function of the old name
+            kernel_impl.Func.function_counter += 1
+            raise
+
+    link.do_compile = compile_whole
 
     def in_place(*args: Any, **named: Any) -> Any:
         tree, context = tree_and_context(*args, **named)

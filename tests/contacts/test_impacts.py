@@ -379,7 +379,7 @@ def test_a_ball_in_a_hollow_box_meets_the_next_face_in_time():
 
 
 def pinched(floor, speed):
-    """Light balls that fall on a floor that moves with `speed` [m/s], each under a heavy one; velocities from the floor (n, 2)."""
+    """Velocities (n, 2) from a floor that moves with `speed` [m/s], of light balls that fall on it, each under a heavy one."""
     scene = ts.Scene(dim=2, gravity=(0.0, -G))
     scene.add_material("rubber", friction=0.3)
     r, x = 0.04, np.arange(6) * 1.0

@@ -136,3 +136,34 @@ def _moved(method, dt, steps):
 def test_a_substep_of_its_own_replaces_inherited_parts():
     assert np.array_equal(_moved(Floating(), 0.25, 4), [[1.0, 0.0]])
     assert np.array_equal(_moved(Halved(), 0.25, 2), _moved("symplectic_euler", 0.125, 4))
+
+
+@ti.data_oriented
+class Wind:
+    """A force that cannot be compiled before its `vector` [N] is given."""
+
+    def stiffness_rate(self, scene):
+        return 0.0
+
+    damping_rate = stiffness_rate
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] += h * self.vector
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_run_whose_compilation_failed_is_right_once_it_is_mended(goes_on):
+    scene = ts.Scene(dim=2, gravity=(0, -12))
+    scene.add_balls([[0, 2.0]], radius=0.1, mass=1.0)
+    wind = Wind()
+    first = ts.Simulation(scene, forces=[wind], dt=2e-3, driver="fused", arch="cpu")
+    with pytest.raises(Exception, match="vector"):
+        first.run(0.3)
+    wind.vector = ti.Vector([1.0, 0.0])
+    if not goes_on:
+        first.close()
+    with first if goes_on else ts.Simulation(scene, forces=[wind], dt=2e-3, driver="fused", arch="cpu") as sim:
+        sim.run(0.3)
+        np.testing.assert_allclose(sim.position[0], [0.5 * 0.3**2, 2 - 6 * 0.3**2], rtol=1e-5)
