@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.common.errors import BackendError
 from taichi_sim.device.engine import IS_KNOWN, on_device, program, ti
 
 __all__ = ["HostMemory", "seen"]
@@ -84,14 +85,22 @@ class HostMemory:
             view = np.ndarray((n, field.n, field.m), dtype, memory, strides=strides)
         self._views.append(view)
         vars(field)[VIEW] = self, view
-        field.host_accessors = [_Accessor(column) for column in columns.T]
+        field.host_accessors = [_Accessor(self, column) for column in columns.T]
 
 
 class _Accessor:
-    """Reads and writes one number, in place of the engine's accessor."""
+    """Reads and writes one number, in place of the engine's accessor. Raises BackendError once the memory is freed."""
 
-    def __init__(self, column: NDArray) -> None:
-        self._column = column
+    def __init__(self, memory: HostMemory, column: NDArray) -> None:
+        self._memory, self._numbers = memory, column
+
+    @property
+    def _column(self) -> NDArray:
+        if not self._memory.alive:
+            raise BackendError(
+                "this field's memory was freed when its simulation was closed; take its numbers before that"
+            )
+        return self._numbers
 
     def getter(self, *key: int) -> int | float:
         return self._column[key[0]].item()

@@ -73,6 +73,14 @@ class Integrator:
         self.allocate(fields)
         self.recipe = tuple(self._recipe())
 
+    @property
+    def runs_from_host(self) -> bool:
+        """True if `advance` runs a substep on many threads: where it is hosted, and no class derived from that which gives
+        `advance` has a substep of its own."""
+        order = type(self).__mro__
+        own = next(k for k, kind in enumerate(order) if {"parts", "substep"} & vars(kind).keys())
+        return self.hosted and own >= next(k for k, kind in enumerate(order) if "advance" in vars(kind))
+
     def parts(self) -> list[Part]:
         """The parts of a substep, and of what makes the state that it starts from; none where `substep` and `prime` are given.
         Called once the method is bound."""

@@ -96,7 +96,7 @@ class Drivers:
     def _run(self, first: int, steps: int, h: float, time: float, fused: bool) -> None:
         if fused:
             self.fused(STEP, first, steps, h, time)
-        elif self.integrator.hosted:
+        elif self.integrator.runs_from_host:
             for k in range(first, first + steps):
                 if self.leads or self.flexes:
                     self.lead()

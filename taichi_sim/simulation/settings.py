@@ -252,6 +252,11 @@ def _integrator(value: Any) -> Any:
                 "integrator", says=f"the limit of {type(value).__name__}.method must be a ts.StabilityLimit"
             )
         validation.taichi_function("integrator", value, "substep", "h, time")
+        if type(value).substep is Integrator.substep and type(value).parts is Integrator.parts:
+            raise SceneError(
+                "integrator",
+                says=f"{type(value).__name__} has no substep; give a @ti.func substep(self, h, time), or parts()",
+            )
         return another(value)  # one object may serve several simulations
     for kind in BUILT_IN:
         if kind.method.name == value:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from taichi_sim.common.errors import BackendError
 from taichi_sim.device import backend
 from taichi_sim.device.engine import IS_KNOWN, ti
 from taichi_sim.device.fields import Fields, fill
@@ -108,3 +109,14 @@ def test_freed_memory_is_zero_for_the_next_fields():
     assert not again.matrix.to_numpy().any()
     assert not again.row.to_numpy()["vector"].any()
     assert again.real.to_numpy().tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_one_number_of_freed_memory_is_refused():
+    kept = Kinds(3).vector
+    kept[1] = [4.0, 5.0]
+    assert kept[1][1] == 5.0
+    backend.stop()
+    with pytest.raises(BackendError, match="memory was freed"):
+        print(kept[1][1])
+    with pytest.raises(BackendError, match="memory was freed"):
+        kept[1] = [0.0, 0.0]

@@ -13,6 +13,7 @@ from taichi_sim.device import backend
 from taichi_sim.device.engine import IS_KNOWN, ti
 from taichi_sim.device.parts import BOTH, PRIME, STEP, Chain, Part, run_parts
 from taichi_sim.integrators.symplectic_euler import SymplecticEuler
+from taichi_sim.integrators.verlet import Verlet
 
 pytestmark = pytest.mark.once
 
@@ -136,6 +137,36 @@ def _moved(method, dt, steps):
 def test_a_substep_of_its_own_replaces_inherited_parts():
     assert np.array_equal(_moved(Floating(), 0.25, 4), [[1.0, 0.0]])
     assert np.array_equal(_moved(Halved(), 0.25, 2), _moved("symplectic_euler", 0.125, 4))
+
+
+@ti.data_oriented
+class Still(Verlet):
+    """A method of a built-in that may run from the host, whose own substep does nothing."""
+
+    @ti.func
+    def substep(self, h, time):
+        pass
+
+
+@pytest.mark.parametrize("driver", ["fused", "parallel"])
+def test_a_substep_of_its_own_replaces_what_runs_from_the_host(driver):
+    scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+    ts.shapes.rope(scene, start=(0, 0), end=(1, 0), n=4, stiffness=50.0, damping=40.0)
+    with ts.Simulation(scene, integrator=Still(), dt=0.01, driver=driver, arch="cpu") as sim:
+        sim.step(3)
+        np.testing.assert_allclose(sim.position, scene.position, atol=1e-6)
+
+
+def test_a_method_without_a_substep_is_refused():
+    class Nothing(ts.Integrator):
+        @ti.func
+        def substeps(self, h, time):
+            pass
+
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0]], radius=0.1)
+    with pytest.raises(ts.SceneError, match="Nothing has no substep"):
+        ts.Simulation(scene, integrator=Nothing(), dt=0.01)
 
 
 @ti.data_oriented
