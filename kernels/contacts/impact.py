@@ -82,17 +82,28 @@ def is_caught(law, u, press, threshold, h):
 
 
 @ti.func
-def note_reflection(walls: ti.template(), i, n, law, rests, part):
-    """Note that ball i met a surface with the normal n after this part of the step; the last one in a step counts."""
+def note_reflection(walls: ti.template(), i, n, law, rests, part, body):
+    """Note that ball i met a surface with the normal n, of the body that has a probe or -1, after this part of the step; the
+    last one in a step counts."""
     if not rests:
         walls.reflected[i] = ti.sqrt((1.0 + law.restitution) * part) * n
+        if ti.static(walls.probed):
+            walls.reflecting_body[i] = body
 
 
 @ti.func
 def thrown_back(walls: ti.template(), i, kick):
-    """The second half of a kick, of a ball that may have met a wall in this step."""
+    """The second half of a kick [m/s], of a ball that may have met a wall in this step."""
     m = walls.reflected[i]
     return kick - m.dot(kick) * m
+
+
+@ti.func
+def record_thrown_back(walls: ti.template(), i, kick):
+    """Record for probes what the wall that ball i met in this step gave it beside the second half of a kick [m/s]."""
+    m = walls.reflected[i]
+    if m.dot(m) > 0.0:
+        walls.received.add(i, walls.reflecting_body[i], -m.dot(kick) / walls.model.inverse_mass[i] * m)
 
 
 @ti.func
@@ -223,26 +234,26 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                     normal = walls.planes.wall[hit].normal
                     law = walls.law(i, hit)
                     speed, pull, rests = bounce(walls, i, normal, law, came, pull, threshold, h, remaining)
+                    if ti.static(walls.probed):
+                        body = walls.received.plane[hit]
                     if ti.static(walls.plan.reflects):
-                        note_reflection(walls, i, normal, law, rests, since / h)
+                        note_reflection(walls, i, normal, law, rests, since / h, body)
                     if ti.static(walls.has_colliders):
                         if rests:
                             settled, floor, place = walls.colliders.count + hit, normal, x + shift
-                    if ti.static(walls.probed):
-                        body = walls.received.plane[hit]
                 elif ti.static(walls.has_colliders):
                     if other >= 0:
                         k = other // walls.colliders.faces
                         speed, pull, rests, n = hit_collider(
                             walls, i, other, x + shift, came, pull, since, threshold, h
                         )
-                        if ti.static(walls.plan.reflects):
-                            law = walls.law_of_material(i, walls.colliders.shape[k].surface)
-                            note_reflection(walls, i, n, law, rests, since / h)
-                        if rests:
-                            settled, floor, place = k, n, x + shift
                         if ti.static(walls.probed):
                             body = walls.received.solid[k]
+                        if ti.static(walls.plan.reflects):
+                            law = walls.law_of_material(i, walls.colliders.shape[k].surface)
+                            note_reflection(walls, i, n, law, rests, since / h, body)
+                        if rests:
+                            settled, floor, place = k, n, x + shift
                     else:  # UNKNOWN_WAY: it waits where it is
                         remaining = 0.0
                 if ti.static(walls.probed):
@@ -261,6 +272,8 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
             record_pressed(walls, i, v)
         kick = 0.5 * h * pressed  # the second half
         if ti.static(walls.plan.reflects):
+            if ti.static(walls.probed):
+                record_thrown_back(walls, i, -kick)  # the end of the step gives what is so
             kick = thrown_back(walls, i, kick)
         drift = speed - kick  # the next solve still has to bear the load on what it rested on
     return shift, drift

@@ -218,6 +218,15 @@ class ContactRule(FoundContacts):
         return result
 
     @ti.func
+    def record_second_half(self, h, forces: ti.template()):
+        """Record for probes what walls give beside the second half of the kick by `forces`."""
+        if ti.static(self.plan.reflects):
+            if ti.static(self.walls.probed):
+                for i in range(self.n):
+                    if self.model.inverse_mass[i] > 0.0:
+                        impact.record_thrown_back(self.walls, i, 0.5 * forces.change(i, h))
+
+    @ti.func
     def _correct_positions(self, ball: ti.template(), h):
         """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
         if ti.static(self.corrects_positions):

@@ -51,6 +51,8 @@ class Walls(Surfaces):
         if plan.reflects:
             # sqrt((1 + e) t / h) n of the last impact in this step, see kernels.contacts.impact
             self.reflected = fields.vectors(model.n, model.dim)
+            if self.probed:
+                self.reflecting_body = fields.integers(model.n)  # that it was an impact on, or -1
 
     def names(self) -> list[str]:
         """Names of the parts that are compiled in, for `Simulation.kernels()`."""

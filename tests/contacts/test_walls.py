@@ -333,3 +333,26 @@ def test_stiff_springs_that_bounce_keep_their_energy(forces):
         start = sim.energy().total
         sim.run(3.0)
         assert sim.energy().total == pytest.approx(start, rel=5e-3)
+
+
+@pytest.mark.parametrize("damping", [0.0, 3.0])
+def test_what_impulse_probes_of_all_walls_sum_is_what_a_bouncing_spring_lost(damping):
+    scene = ts.Scene(dim=2, gravity=(0, -7))
+    scene.add_material("rubber", restitution=0.6, friction=0.2)
+    scene.add_balls(
+        [[0.3, 0.4], [0.6, 0.5]], radius=0.04, mass=[1.2, 2.5], velocity=[[3, -2], [-1, 4]], material="rubber"
+    )
+    scene.add_springs([[0, 1]], stiffness=2e4, damping=damping)
+    for name, normal, offset in (
+        ("floor", (0, 1), 0),
+        ("lid", (0, -1), -1),
+        ("left", (1, 0), 0),
+        ("right", (-1, 0), -1),
+    ):
+        scene.add_wall(normal, offset, "rubber")
+        scene.add_probe(name, "impulse", wall=len(scene.walls) - 1)
+    with simulate(scene, dt=1e-3, substeps=1) as sim:
+        sim.run(0.5)
+        given = [sum(sim.probes()[f"{name}.{axis}"] for name in ("floor", "lid", "left", "right")) for axis in "xy"]
+        lost = scene.mass @ scene.velocity + scene.mass.sum() * scene.gravity * 0.5 - scene.mass @ sim.velocity
+    np.testing.assert_allclose(given, lost, atol=1e-12 if F64 else 2e-4)
