@@ -32,6 +32,7 @@ from taichi_sim.outputs.kept_files import judged
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 STEP = "step and rounding"  # the source of an uncertainty
+LATE = 1e-4  # share of the energy of impacts that a step misses, above which `run --error` says what it leaves out
 WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
@@ -477,6 +478,9 @@ def _left_out(simulation: Any) -> Iterator[str]:
     scene, settled = simulation.scene, simulation.settled
     if len(scene.pairs) or len(scene.cells):
         yield "the mesh, see `taichi-sim report --resolutions`"
+    rates = [late_impacts.late_rate(scene, velocity) for velocity in (scene.velocity, simulation.velocity)]
+    if simulation.dt * max(rates) > LATE:
+        yield "the delay of impacts of balls, which both runs may find in the same place: compare with runs at other steps"
     if settled is not None and settled.residual:
         yield f"the net force of {measured(settled.residual, unit='N')} left at the start"
 

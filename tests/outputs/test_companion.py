@@ -77,3 +77,13 @@ def test_other_neighbours_enclose_the_number():
 def test_richardson(order):
     at = [3.0 * h**order for h in (0.1, 0.05)]
     assert error_from(at[0] - at[1], order) == pytest.approx(at[0])
+
+
+def test_the_delay_of_impacts_of_balls_is_said_to_be_left_out():
+    """Both runs find the impact at the same place, 4 cm from where it should be: their difference is no error."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("ivory", restitution=1.0)
+    scene.add_balls([[0, 0], [0.13, 0.06]], velocity=[[4, 0], [0, 0]], radius=0.05, mass=1.0, material="ivory")
+    with ts.Simulation(scene, dt=2e-3, substeps=1) as sim:
+        summary = export(sim, None, fps=50, duration=0.1, error=True)
+    assert any("impacts of balls" in one for one in summary.left_out)
