@@ -98,7 +98,7 @@ def run(
                 echo(f"{name}: holds the {target.frames} frames until then", err=True)
                 continue
             target.discard()
-            if target.frames:
+            if target.path is not None and target.frames:
                 echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
             elif target.simulated:
                 says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"

@@ -7,30 +7,42 @@ from pathlib import Path
 
 from taichi_sim.common.atomic_file import PART, kind_of, sweep
 
-__all__ = ["LOCK", "emptied", "is_fresh", "require_own"]
+__all__ = ["LOCK", "emptied", "is_fresh", "require_own", "require_own_file"]
 
+DOES = "{}: {}; this program makes such a {} itself: remove it, or give another name"
 LOCK = "lock"  # the first file that is made in one, and the last that is deleted
 
 
 def require_own(folder: Path, record: str | None = None) -> None:
     """Raises OSError, with one sentence, where a link or a file lies in place of the folder, where it holds a link, also
     a hard one, a pipe or a device, and where it is not empty and has no `record`, the file that says what it is of."""
-    does = f"{folder}: {{}}; this program makes such a folder itself: remove it, or give another name"
-    if folder.is_symlink():
-        raise FileExistsError(does.format("is a link"))
-    kind = kind_of(folder)
-    if kind not in ("folder", ""):
-        raise FileExistsError(does.format(f"is a {kind}"))
-    if not kind:
+    _require(folder, "folder")
+    if not folder.is_dir():
         return
     for entry in folder.iterdir():
-        kind = "link" if entry.is_symlink() else kind_of(entry)
+        kind = _kind_of(entry)
         if kind in ("link", "pipe", "device"):
-            raise FileExistsError(does.format(f"holds {entry.name!r}, which is a {kind}"))
+            raise FileExistsError(DOES.format(folder, f"holds {entry.name!r}, which is a {kind}", "folder"))
         if kind == "file" and entry.stat().st_nlink > 1:
-            raise FileExistsError(does.format(f"holds {entry.name!r}, which is also the file of another name"))
+            says = f"holds {entry.name!r}, which is also the file of another name"
+            raise FileExistsError(DOES.format(folder, says, "folder"))
     if record is not None and not (folder / record).is_file() and not is_fresh(folder):
-        raise FileExistsError(does.format("is a folder that this program did not make"))
+        raise FileExistsError(DOES.format(folder, "is a folder that this program did not make", "folder"))
+
+
+def require_own_file(path: Path) -> None:
+    """Raises OSError, with one sentence, where a link, a folder, a pipe or a device lies in place of the file."""
+    _require(path, "file")
+
+
+def _require(path: Path, allowed: str) -> None:
+    if (kind := _kind_of(path)) not in (allowed, ""):
+        raise FileExistsError(DOES.format(path, f"is a {kind}", allowed))
+
+
+def _kind_of(path: Path) -> str:
+    """See `kind_of`; `link`, wherever it leads to."""
+    return "link" if path.is_symlink() else kind_of(path)
 
 
 def is_fresh(folder: Path) -> bool:

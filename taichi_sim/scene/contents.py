@@ -24,7 +24,9 @@ def contents_of(scene: Any) -> dict[str, Any]:
         elif value and isinstance(value, list) and isinstance(value[0], dict):
             if name == "materials":  # in their order: balls have their numbers
                 parts[name] = [row["name"] for row in value]
-            parts |= {f"{name}.{row['name']}" if "name" in row else f"{name}[{k}]": row for k, row in enumerate(value)}
+            for k, row in enumerate(value):
+                called = f"{name}.{row.get('name')}"
+                parts[f"{name}[{k}]" if "name" not in row or called in arrays else called] = row
         else:
             parts[name] = value
     return {name: described(value) for name, value in (parts | arrays).items()}

@@ -4,6 +4,7 @@ import json
 import os
 import zlib
 from collections.abc import Callable, Mapping
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, TypeVar
 from zipfile import BadZipFile
@@ -11,7 +12,7 @@ from zipfile import BadZipFile
 from taichi_sim.common.atomic_file import lock, replacing
 from taichi_sim.common.differences import differences, named
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.own_folder import LOCK, is_fresh
+from taichi_sim.common.own_folder import LOCK, is_fresh, require_own_file
 from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.studies.records import arrays_of, rows_of
 
@@ -30,7 +31,7 @@ class StudyFolder:
 
     kind = "study"
     record = "study.json"  # the file that says which study it is
-    own: tuple[str, ...] = ()  # names of the other files, which `overwrite` removes
+    own: tuple[str, ...] = ()  # names of the other files, which `overwrite` removes; `*` stands for anything
     another = "another folder"  # what a user may give instead
 
     def __init__(self, path: Path, about: Mapping[str, Any], overwrite: bool = False) -> None:
@@ -39,11 +40,18 @@ class StudyFolder:
         self._overwrite = overwrite
         self._lock: Any = None
         require_folder_place(path)
+        for file in self._files(*self.own, self.record):
+            require_own_file(file)
         if path.is_dir() and not is_fresh(path):
             if not (path / self.record).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no {self.kind}; use another name")
             if not overwrite:
                 self._require_same()
+
+    def _files(self, *names: str) -> list[Path]:
+        """Files of these names that are there, those of the first name first."""
+        entries = sorted(self.path.iterdir()) if self.path.is_dir() else []
+        return [entry for name in names for entry in entries if fnmatchcase(entry.name, name)]
 
     def _require_same(self) -> None:
         then = self.read(self.record, _table)
@@ -71,8 +79,12 @@ class StudyFolder:
 
     def empty(self) -> None:
         """Remove all files of the study."""
-        for name in (*self.own, self.record):
-            (self.path / name).unlink(missing_ok=True)
+        self.remove(*self.own, self.record)
+
+    def remove(self, *names: str) -> None:
+        """Remove files of these names."""
+        for file in self._files(*names):
+            file.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Let others in."""

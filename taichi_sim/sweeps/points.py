@@ -13,6 +13,7 @@ from typing import Any
 from taichi_sim.common import memory
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError, words_of
+from taichi_sim.common.signals import ENDED
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
 from taichi_sim.studies.records import lines_of
@@ -90,7 +91,7 @@ class Runner:
         self.made = 0  # simulations, since the start
 
     def run(self, point: Point) -> Row:
-        """A point, whatever becomes of it."""
+        """A point, whatever becomes of it; a signal that ends the process is no matter of the point, and is passed on."""
         start, made = time.perf_counter(), self.made
         measures: dict[str, float] = {}
         error = ""
@@ -102,6 +103,8 @@ class Runner:
             except UnstableError as unstable:
                 error = f"unstable: {unstable}"
             except (Exception, SystemExit) as problem:  # of the user's functions, too
+                if isinstance(problem, SystemExit) and problem.code in ENDED:
+                    raise
                 error = words_of(problem)
         said = "; ".join(dict.fromkeys(str(one.message) for one in caught if issubclass(one.category, UserWarning)))
         return Row.of(

@@ -429,6 +429,16 @@ def test_cuda_without_a_gpu(folder):
     assert names(folder) == ["ball.toml", "stiff.toml"]
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")
+def test_nothing_is_kept_of_a_pipe_whose_reader_goes(folder):
+    os.mkfifo(folder / "x.csv")
+    reader = subprocess.Popen([sys.executable, "-c", "open('x.csv').readline()"], cwd=folder)
+    done = command(folder, "run", "ball.toml", "-o", "x.csv", "--duration", "1e3", "--quiet")
+    reader.wait(60)
+    assert (done.returncode, done.stderr) == (2, "taichi-sim: x.csv: whoever read it has gone\n")
+    assert names(folder) == ["ball.toml", "stiff.toml", "x.csv"]
+
+
 @pytest.mark.parametrize(
     ("number", "status", "words"), [(signal.SIGINT, 130, "taichi-sim: interrupted"), (signal.SIGTERM, 143, "")]
 )

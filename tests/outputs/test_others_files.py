@@ -175,6 +175,59 @@ def test_what_others_put_into_the_batches_of_a_sweep_stays(tmp_path, overwrite):
     assert (tmp_path / "swept" / "batches" / "mine.jsonl").read_text() == "mine"
 
 
+def begun(kind, folder):
+    """The folder of a study that was begun."""
+    one = kind(folder, {"a": 1})
+    if not one.begun:
+        one.begin()
+    one.close()
+    return folder
+
+
+STUDIES = [
+    (SweepFolder, "rows.jsonl"),
+    (SweepFolder, "sweep.json"),
+    (SweepFolder, "table.csv"),
+    (ReportFolder, "rows.jsonl"),
+    (ReportFolder, "reference.npz"),
+    (ReportFolder, "budget.npz"),
+    (ReportFolder, "run_00ab.npz"),
+]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize(("kind", "name"), STUDIES)
+def test_links_in_the_folder_of_a_study(tmp_path, precious, kind, name, overwrite):
+    file = begun(kind, tmp_path / "out") / name
+    file.unlink(missing_ok=True)
+    file.symlink_to(precious / "thesis.txt")
+    with pytest.raises(OSError, match=rf"{name}: is a link; .* remove it"):
+        kind(tmp_path / "out", {"a": 1}, overwrite)
+    assert file.is_symlink()
+
+
+@pytest.mark.parametrize(("kind", "name"), STUDIES)
+def test_what_is_no_file_in_the_folder_of_a_study(tmp_path, kind, name):
+    file = begun(kind, tmp_path / "out") / name
+    file.unlink(missing_ok=True)
+    for make_it, word in ((os.mkfifo, "pipe"), (os.mkdir, "folder")):
+        make_it(file)
+        with pytest.raises(OSError, match=rf"{name}: is a {word}; .* remove it"):
+            kind(tmp_path / "out", {"a": 1}, overwrite=True)
+        file.rename(tmp_path / word)
+
+
+@pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
+def test_a_study_leaves_what_others_put_beside_it(tmp_path, precious, kind):
+    """The folder is the user's own choice, a link to it, too."""
+    begun(kind, tmp_path / "disk")
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    (tmp_path / "disk" / "notes").symlink_to(precious)
+    begun(kind, tmp_path / "out")
+    kind(tmp_path / "out", {"a": 1}, overwrite=True).close()
+    assert (tmp_path / "disk" / "notes").is_symlink()
+
+
 @pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
 def test_a_lock_is_no_link(tmp_path, kind):
     folder = tmp_path / "out"

@@ -41,6 +41,17 @@ def test_a_change_shows_in_its_part(change, part):
     assert json.loads(json.dumps(one)) == json.loads(json.dumps(contents_of(scene())))
 
 
+@pytest.mark.parametrize("names", [("1.balls", "b"), ("b", "0.balls"), ("0.balls", "1.balls")])
+def test_a_name_like_that_of_an_array_hides_nothing(names):
+    made = Scene(dim=2)
+    for k, name in enumerate(names):
+        made.set_name(made.add_balls([[k, 0.0]], radius=0.1), name)
+    found = contents_of(made)
+    assert {f"objects.{k}.balls" for k in range(2)} <= found.keys()
+    rows = [value for name, value in found.items() if name.startswith("objects") and isinstance(value, dict)]
+    assert [row["name"] for row in rows] == list(names)
+
+
 def test_objects_are_their_class_and_their_plain_attributes():
     class Drag:
         def __init__(self, factor):

@@ -8,9 +8,13 @@ import time
 from pathlib import Path
 
 import pytest
+from physics_support import PRECISION
 from sweep_kills import rows_so_far, table, workers_of
+from sweep_scenes import heap
 
+from taichi_sim.common.signals import HUNG_UP, TERMINATED
 from taichi_sim.sweeps.folder import SweepFolder
+from taichi_sim.sweeps.points import Runner
 from taichi_sim.sweeps.sweep import sweep
 
 pytestmark = [pytest.mark.slow, pytest.mark.once]
@@ -129,6 +133,33 @@ def test_ctrl_c_before_the_first_point(tmp_path, monkeypatch):
     assert table(tmp_path / "swept") == []
     assert len(sweep(tmp_path / "heap.toml", folder=tmp_path / "swept", **given).rows) == 2
     assert len(table(tmp_path / "swept")) == 2
+
+
+@pytest.mark.parametrize("status", [TERMINATED, HUNG_UP])
+def test_a_signal_is_no_failed_point(tmp_path, monkeypatch, status):
+    """SIGTERM and SIGHUP come as SystemExit, within whatever point runs then: it is run again."""
+    came = []
+
+    def measured(runner, scene):
+        came.append(scene)
+        if len(came) == 3:
+            raise SystemExit(status)
+        return {"m": 1.0}
+
+    monkeypatch.setattr(Runner, "measured", measured)
+    given = {
+        "seeds": 5,
+        "measure": "energy.kinetic.max",
+        "workers": 0,
+        "precision": PRECISION,
+        "folder": tmp_path / "s",
+    }
+    with pytest.raises(SystemExit) as ended:
+        sweep(heap, **given)
+    assert ended.value.code == status
+    assert [row["error"] for row in table(tmp_path / "s")] == ["", ""]
+    assert [row.error for row in sweep(heap, **given).rows] == 5 * [""]
+    assert len(came) == 6
 
 
 def test_ctrl_c_before_another_sweep_is_gone_leaves_it(tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ class ReportFolder(StudyFolder):
     kind, record, another = "report", "report.json", "another --out"
     own = (
         *("rows.jsonl", "rows.csv", "seeds.jsonl", "seeds.csv", "reference.npz", "budget.npz"),
-        *("report.md", "report.html", "error.svg", "error.png"),
+        *("report.md", "report.html", "error.svg", "error.png", f"{RUN}*.npz"),
     )
 
     def __init__(self, path: Path, about: Mapping[str, Any], overwrite: bool = False) -> None:
@@ -30,10 +30,6 @@ class ReportFolder(StudyFolder):
         except BaseException:
             self.close()
             raise
-
-    def empty(self) -> None:
-        super().empty()
-        self.forget_runs()
 
     def write(self, name: str, data: bytes) -> None:
         """Replace a file, whole; the folder is made once there is something to keep."""
@@ -62,5 +58,4 @@ class ReportFolder(StudyFolder):
 
     def forget_runs(self) -> None:
         """Remove what single runs came to."""
-        for path in self.path.glob(f"{RUN}*.npz"):
-            path.unlink(missing_ok=True)
+        self.remove(f"{RUN}*.npz")
