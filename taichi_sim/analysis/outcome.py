@@ -1,17 +1,33 @@
 """Outcome: whether what a run says of itself is good, by scales of its own scene. Plain numbers; no Taichi."""
 
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from taichi_sim.common.quantities import measured
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_cells", "of_depth", "of_energy", "takers"]
+__all__ = [
+    "DEEP",
+    "Scales",
+    "cure_of_depth",
+    "left_out",
+    "not_included",
+    "of_approach",
+    "of_cells",
+    "of_depth",
+    "of_energy",
+    "takers",
+]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
 MANY = 10.0  # times what is slow
-DRIVEN = "moving parts, motors or wind add or take energy here, so the energy change is no measure of the step error"
+DRIVEN = (
+    "moving parts, motors, wind or forces of your own add or take energy here, so the energy change is no measure of the"
+    " step error"
+)
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
@@ -41,6 +57,19 @@ def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
         "damping": bool(scene.damping.any() or scene.bend_damping.any()),
     }
     return tuple(name for name, takes in found.items() if takes)
+
+
+def left_out(scene: Scene, settled: Any = None) -> Iterator[str]:
+    """Errors that another run of the same scene does not show. settled: what is known of its start at rest, or None."""
+    if len(scene.pairs) or len(scene.cells):
+        yield "the mesh, see `taichi-sim report --resolutions`"
+    if settled is not None and settled.residual:
+        yield f"the net force of {measured(settled.residual, unit='N')} left at the start"
+
+
+def not_included(errors: Sequence[str]) -> str:
+    """A line on the errors that a stated uncertainty does not include, under the line that states it."""
+    return f"{'':12} not included: {'; '.join(errors)}"
 
 
 def _grade(value: float, good: float, wrong: float) -> str:
