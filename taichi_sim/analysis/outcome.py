@@ -24,21 +24,18 @@ __all__ = [
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
 MANY = 10.0  # times what is slow
-DRIVEN = (
-    "moving parts, motors, wind or forces of your own add or take energy here, so the energy change is no measure of the"
-    " step error"
-)
+DRIVEN = "may add or take energy here, so the energy change is no measure of the step error"
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
 class Scales(NamedTuple):
-    """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on it; takers:
-    what in the scene takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
+    """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. drivers: what works on it, in words;
+    takers: what takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
     it that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy
     itself. touches: there may be contacts."""
 
     slow: float
-    closed: bool
+    drivers: tuple[str, ...]
     takers: tuple[str, ...]
     motion: float
     swing: float
@@ -111,8 +108,8 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     if scales.motion <= 0.0:
         return ""
     part = (end - start) / scales.motion
-    if not scales.closed:
-        return DRIVEN if abs(part) > KEPT else ""
+    if scales.drivers:
+        return f"{_listed(scales.drivers)} {DRIVEN}" if abs(part) > KEPT else ""
     much = (
         f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
     )
@@ -127,8 +124,12 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     if part >= -kept:
         return ""
     lost = f"{start - end:.4g} J of it"
-    into = " and ".join(filter(None, [", ".join(scales.takers[:-1]), *scales.takers[-1:]]))
     if not scales.takers:
         return f"{lost} went into the own damping of {scales.damps}; shorter steps lose less"
     own = f", or into the own damping of {scales.damps}: shorter steps tell" if scales.damps else ", as expected"
-    return f"{lost} went into {into}{own}"
+    return f"{lost} went into {_listed(scales.takers)}{own}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in words: `wind, gases and motors`."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

@@ -158,6 +158,7 @@ DRAWN = ("x.mp4", "x.gif", "frames/", "own")
      *((name, Whole, None) for name in DRAWN), (("x.csv", "x.mp4", "x.pvd", "x.npz"), Whole, None)],
     ids=str,
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*is complete, and is left:UserWarning")
 def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, names, kind, codec):
     """Cut off twice while it is simulated, and, where pictures come last, while it is drawn."""
     how = {"kind": kind, "codec": codec}

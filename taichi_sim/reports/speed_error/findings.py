@@ -179,7 +179,7 @@ class Findings:
 
 
 def _above_safe(rows: list[Row]) -> str:
-    """How many of the rows are of steps above the safe one, as the end of a sentence; empty where none is."""
+    """End of a sentence: that rows are of steps above the safe one, or some of them; empty where none is."""
     above = sum((row.part_of_safe_step or 0.0) > 1.0 + 1e-9 for row in rows)
     of_them = f"{above} of them " if above < len(rows) else ""
     return f", {of_them}at {'steps' if above > 1 else 'a step'} above the safe one" if above else ""
