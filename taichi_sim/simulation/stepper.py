@@ -286,7 +286,7 @@ class Stepper:
         return totals
 
     def _drivers(self, colliders_move: bool) -> Iterator[str]:
-        """What may add energy to the scene or take it, in words."""
+        """Parts that may add energy to the scene or take it, in words."""
         scene, forces = self.scene, self.parts.arguments[4]
         if colliders_move:
             yield "moving colliders"
