@@ -1,28 +1,44 @@
 """Outcome: whether what a run says of itself is good, by scales of its own scene. Plain numbers; no Taichi."""
 
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from taichi_sim.analysis.late_impacts import late_rate
+from taichi_sim.common.quantities import measured
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["DEEP", "Scales", "cure_of_depth", "of_approach", "of_cells", "of_depth", "of_energy", "takers"]
+__all__ = [
+    "DEEP",
+    "Scales",
+    "cure_of_depth",
+    "left_out",
+    "not_included",
+    "of_approach",
+    "of_cells",
+    "of_depth",
+    "of_energy",
+    "takers",
+]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
 SLOW_PART = 0.01  # of the largest speed: approach that is slow where nothing falls
 MANY = 10.0  # times what is slow
-DRIVEN = "moving parts, motors or wind add or take energy here, so the energy change is no measure of the step error"
+DRIVEN = "may add or take energy here, so the energy change is no measure of the step error"
+LATE = 1e-4  # share of the energy of impacts that a step misses, above which it is said
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 
 class Scales(NamedTuple):
-    """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. closed: nothing works on it; takers:
-    what in the scene takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
+    """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. drivers: what works on it, in words;
+    takers: what takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
     it that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy
     itself. touches: there may be contacts."""
 
     slow: float
-    closed: bool
+    drivers: tuple[str, ...]
     takers: tuple[str, ...]
     motion: float
     swing: float
@@ -41,6 +57,25 @@ def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
         "damping": bool(scene.damping.any() or scene.bend_damping.any()),
     }
     return tuple(name for name, takes in found.items() if takes)
+
+
+def left_out(
+    scene: Scene, settled: Any = None, h: float = 0.0, end: NDArray[np.float64] | None = None
+) -> Iterator[str]:
+    """Errors that another run of the same scene does not show. settled: what is known of its start at rest, or None. h: its step
+    [s]; end: velocities (n, dim) at the end [m/s]."""
+    if len(scene.pairs) or len(scene.cells):
+        yield "the mesh, see `taichi-sim report --resolutions`"
+    velocities = [scene.velocity] + ([] if end is None else [end])
+    if h * max(late_rate(scene, velocity) for velocity in velocities) > LATE:
+        yield "the delay of impacts of balls, which both runs may find in the same place: compare with runs at other steps"
+    if settled is not None and settled.residual:
+        yield f"the net force of {measured(settled.residual, unit='N')} left at the start"
+
+
+def not_included(errors: Sequence[str]) -> str:
+    """A line on the errors that a stated uncertainty does not include, under the line that states it."""
+    return f"{'':12} not included: {'; '.join(errors)}"
 
 
 def _grade(value: float, good: float, wrong: float) -> str:
@@ -82,8 +117,8 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     if scales.motion <= 0.0:
         return ""
     part = (end - start) / scales.motion
-    if not scales.closed:
-        return DRIVEN if abs(part) > KEPT else ""
+    if scales.drivers:
+        return f"{_listed(scales.drivers)} {DRIVEN}" if abs(part) > KEPT else ""
     much = (
         f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
     )
@@ -98,8 +133,12 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     if part >= -kept:
         return ""
     lost = f"{start - end:.4g} J of it"
-    into = " and ".join(filter(None, [", ".join(scales.takers[:-1]), *scales.takers[-1:]]))
     if not scales.takers:
         return f"{lost} went into the own damping of {scales.damps}; shorter steps lose less"
     own = f", or into the own damping of {scales.damps}: shorter steps tell" if scales.damps else ", as expected"
-    return f"{lost} went into {into}{own}"
+    return f"{lost} went into {_listed(scales.takers)}{own}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Names in words: `wind, gases and motors`."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))

@@ -27,7 +27,9 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     """Say which time step is safe for SCENE, and what limits it, before anything runs."""
     from taichi_sim.reports import check as stability_report
 
-    with Job(scene, {**options, "settle": False}).simulation() as sim:
+    job = Job(scene, options)
+    job.options["settle"] = False  # the step that is safe is so at rest, too
+    with job.simulation() as sim:
         echo("\n".join(stability_report.lines(sim)))
 
 

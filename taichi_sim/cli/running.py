@@ -82,9 +82,12 @@ def run(
             raise ValueError("--workers and --scheduler need --out, and exclude --resume, --checkpoint and --error")
         _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
-    targets = open_outputs(out or [], fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
-    if resume and targets and _tell_resumed(out or [], targets, frame_count(job.output["fps"], job.output["duration"])):
-        return
+    names = out or []
+    targets: Sequence[Any] = open_outputs(names, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
+    if resume and targets:
+        names, targets = _to_resume(names, targets, frame_count(job.output["fps"], job.output["duration"]))
+        if not targets:
+            return
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
@@ -93,7 +96,7 @@ def run(
         with sim:
             summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, **job.output)
     except BaseException as ended:
-        for name, target in zip(out or [], targets):
+        for name, target in zip(names, targets):
             if isinstance(ended, UnstableError) and target.frames:
                 echo(f"{name}: holds the {target.frames} frames until then", err=True)
                 continue
@@ -105,23 +108,23 @@ def run(
                 echo(f"{name}: {says}", err=True)
         raise
     if not quiet:
-        written = [target.pattern or name for name, target in zip(out or [], targets)]
+        written = [target.pattern or name for name, target in zip(names, targets)]
         echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
 
 
-def _tell_resumed(names: Sequence[str], targets: Sequence[Any], count: int) -> bool:
-    """Say what there is of outputs that are to be resumed; whether all of them are complete, and given up here."""
-    finished = [target.path is not None and target.is_finished(count) for target in targets]
-    for name, target, is_finished in zip(names, targets, finished):
-        if is_finished:
+def _to_resume(names: Sequence[str], targets: Sequence[Any], count: int) -> tuple[list[str], list[Any]]:
+    """Names and outputs that are still to be written, of those to be resumed; what there is of each is said here."""
+    left = []
+    for name, target in zip(names, targets):
+        if target.path is not None and target.is_finished(count):
             echo(f"{name}: is complete, and is left as it is; without --resume it is made anew", err=True)
-        elif target.path is not None and not target.log.resumes:
+            target.leave_as_it_is()
+            continue
+        left.append((name, target))
+        if target.path is not None and not target.log.resumes:
             there = "nothing is kept of the run that wrote it; it is made anew" if Path(name).exists() else ""
             echo(f"{name}: {there or 'nothing is kept of it; it begins at the first frame'}", err=True)
-    if all(finished):
-        for target in targets:
-            target.discard()
-    return all(finished)
+    return [name for name, _ in left], [target for _, target in left]
 
 
 def _drawn_apart(

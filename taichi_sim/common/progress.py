@@ -28,7 +28,8 @@ while True:
     time.sleep(every)
     passed = datetime.timedelta(seconds=round(time.monotonic() - begin))
     try:
-        os.write(1, f"{passed}  ".encode() + said[0])
+        if said[0].strip():
+            os.write(1, f"{passed}  ".encode() + said[0])
     except OSError:
         os._exit(0)
 """
@@ -147,12 +148,10 @@ def _lines(work: Work) -> Iterator[None]:
     def say() -> None:
         while not ended.wait(EVERY if printer is None else min(EVERY, FEED)):
             try:
-                if printer is None:
-                    print(
-                        f"{timedelta(seconds=round(time.monotonic() - start))}  {work.line()}", file=stream, flush=True
-                    )
-                else:
+                if printer is not None:
                     tell()
+                elif line := work.line():
+                    print(f"{timedelta(seconds=round(time.monotonic() - start))}  {line}", file=stream, flush=True)
             except (OSError, ValueError):  # whoever read it has gone
                 return
 

@@ -129,6 +129,10 @@ class Output:
         """Give it up: no trace of it is left, but for what the log keeps."""
         self._leave(is_complete=False)
 
+    def leave_as_it_is(self) -> None:
+        """Let go of an output that was complete before anything was written. `export` calls it in place of `discard`."""
+        self._leave(is_complete=False)
+
     def is_finished(self, count: int) -> bool:
         """True where it was opened to be resumed, but is complete already, with `count` frames: then it is left as it is."""
         return self.resume and not self.log.resumes and self.holds(count)

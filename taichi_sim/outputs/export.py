@@ -1,6 +1,7 @@
 """Export of a simulation to an output: the loop over frames, its progress bar and its summary."""
 
 import time
+import warnings
 from base64 import b64encode
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -14,7 +15,7 @@ import numpy as np
 from taichi_sim.analysis import late_impacts, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
-from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy
+from taichi_sim.analysis.outcome import Scales, left_out, not_included, of_approach, of_cells, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
@@ -32,7 +33,6 @@ from taichi_sim.outputs.kept_files import judged
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 STEP = "step and rounding"  # the source of an uncertainty
-LATE = 1e-4  # share of the energy of impacts that a step misses, above which `run --error` says what it leaves out
 WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
@@ -79,6 +79,7 @@ class Summary:
     checkpointing: float = 0.0
     stretched: tuple[float, ...] | None = None  # see Checkpoints
     resumed: int = 0  # the frame that a resumed run went on with; 0 where there was no checkpoint
+    complete: list[str] = field(default_factory=list)  # outputs that were so before, where nothing was left to be done
     video: str = ""  # the file that `ts.video` wrote, for notebooks
 
     @classmethod
@@ -104,9 +105,11 @@ class Summary:
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
+        if self.complete:
+            return [f"complete     {name}, which is left as it is" for name in self.complete]
         lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated"]
         if self.settled:
-            lines.append(f"settled      {self.settled}")
+            lines.append(f"start        {self.settled}")
         if self.energy_start:
             kinetic, spring, gravity, total = self.energy_end
             off = None if self.step_error is None else self.step_error.energy
@@ -202,7 +205,7 @@ class Summary:
         rms, largest = measures([found.rms, found.largest], [None, None], "m")
         yield f"{'uncertainty':12} of {STEP}, from {by}: positions at the end +- {rms} rms, +- {largest} at most"
         if self.left_out:
-            yield f"{'':12} not included: {'; '.join(self.left_out)}"
+            yield not_included(self.left_out)
 
 
 def _shown(video: Path) -> str:
@@ -321,7 +324,7 @@ def export(
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
     and `checkpoint` may be others): ValueError otherwise. Where all have the same checkpoint the simulation is closed, and
     another goes on from there. Otherwise it runs from the start, but frames that are kept are not drawn again. An output that is
-    complete already is left as it is.
+    complete already is left as it is, with a warning; where all are, nothing is simulated.
 
     Where a camera is to show all of the run (see `CameraPath.fit`), it is simulated to its end before the first picture is drawn;
     outputs that need no pictures get their frames meanwhile.
@@ -335,8 +338,14 @@ def export(
     if checkpoint not in ("auto", None):
         checkpoint = validation.number("checkpoint", checkpoint, positive=True)
     count = frame_count(fps, duration)
-    for one in (finished := [one for one in outputs if one.path is not None and one.is_finished(count)]):
-        one.discard()
+    finished = [one for one in outputs if one.path is not None and one.is_finished(count)]
+    for one in finished:
+        one.leave_as_it_is()
+        warnings.warn(
+            f"{one.path}: is complete, and is left as it is; without resume it is made anew", UserWarning, stacklevel=2
+        )
+    if finished and len(finished) == len(outputs):
+        return Summary(complete=[str(one.path) for one in finished])
     outputs = [one for one in outputs if one not in finished]
     summary = Summary()
     clock = _Clock(summary)
@@ -454,7 +463,7 @@ def export(
         if companion is not None:
             bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
             summary.step_error = companion.compare(simulation, bar.advance)
-            summary.left_out = list(_left_out(simulation))
+            summary.left_out = list(left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity))
             clock.charge("simulating")
     clock.charge("writing")
     return summary
@@ -471,18 +480,6 @@ def _rotation(simulation: Any, frame: Frame | None) -> str:
     if turn is None or not turn.shows(method, h):
         return ""
     return f"{turning.sentence(turn, method, h, simulation.time or 1.0)}; {turning.cure(turn, method, h)}"
-
-
-def _left_out(simulation: Any) -> Iterator[str]:
-    """Errors that a second run of the same scene does not show."""
-    scene, settled = simulation.scene, simulation.settled
-    if len(scene.pairs) or len(scene.cells):
-        yield "the mesh, see `taichi-sim report --resolutions`"
-    rates = [late_impacts.late_rate(scene, velocity) for velocity in (scene.velocity, simulation.velocity)]
-    if simulation.dt * max(rates) > LATE:
-        yield "the delay of impacts of balls, which both runs may find in the same place: compare with runs at other steps"
-    if settled is not None and settled.residual:
-        yield f"the net force of {measured(settled.residual, unit='N')} left at the start"
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:

@@ -47,15 +47,17 @@ def video(
             `scene.output`, then 5 s, 60 frames a second, 1280 x 720.
         progress: a bar on standard error, or a line every few seconds where that is no terminal; False: none.
         overwrite, codec: see `ts.open_output`. error: see `ts.export`.
-        settings: arguments of Simulation, where a Scene is given: dt, integrator, ...
+        settings: arguments of Simulation, where a Scene is given: dt, integrator, ...; and of `Renderer`, which go before
+            those in `style`: camera, stage, ...
 
     Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the
     video. Raises what Simulation, `ts.open_output` and `ts.export` raise.
     """
     _require_known(settings)
+    look = {name: settings.pop(name) for name in _looks() if name in settings}
     scene, context = _simulation(what, settings)
     options = output_options(scene, {"duration": duration, "fps": fps, "size": size})
-    options["style"] |= style or {}
+    options["style"] |= (style or {}) | look
     with context() as simulation:
         output = open_output(path, fps=options["fps"], overwrite=overwrite, codec=codec)
         summary = export(simulation, output, progress=progress, error=error, **options)
@@ -89,9 +91,17 @@ def _require_known(settings: Mapping[str, Any]) -> None:
     from taichi_sim.simulation.settings import DEFAULTS as SETTINGS
 
     own = [name for name in signature(video).parameters if name not in ("what", "settings")]
+    further = [*SETTINGS, "forces", *_looks()]
     for name in settings:
-        if name not in SETTINGS and name != "forces":
-            raise unknown_key(name, [*own, *SETTINGS, "forces"], "an argument of video")
+        if name not in further:
+            raise unknown_key(name, [*own, *further], "an argument of video")
+
+
+def _looks() -> list[str]:
+    """Names of the arguments of `Renderer` that say how a scene looks."""
+    from taichi_sim.render.renderer import Renderer
+
+    return [name for name in signature(Renderer).parameters if name not in ("frame", "size")]
 
 
 def _simulation(what: Any, settings: dict[str, Any]) -> tuple[Scene, Callable[[], Any]]:

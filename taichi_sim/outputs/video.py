@@ -131,6 +131,10 @@ class Video(FileOutput):
         self._part.finish()
         super().finish()
 
+    def leave_as_it_is(self) -> None:
+        self._part.discard()
+        super().leave_as_it_is()
+
     def discard(self) -> None:
         """Delete the unfinished file; its pictures stay in the log, for resume."""
         self._container = self._stream = None

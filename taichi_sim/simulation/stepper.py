@@ -8,7 +8,7 @@ look at it comes later; everything else to the end of a chunk.
 """
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -79,9 +79,8 @@ class Stepper:
         self._looks, self._unseen = 0, 0
         part = self.h / safe.dt_any_shape if safe.dt_any_shape > 0 else 0.0
         moves = parts.colliders is not None and parts.colliders.moves
-        given = any(element.gives_energy and element.count(scene) for element in ELEMENTS)
-        driven = bool(scene.moving_pins or scene.motors or given)
-        self.driven, self.size = own or moves or driven, size(scene)
+        self.drivers = tuple(self._drivers(moves))
+        self.size = size(scene)
         self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
         self._fastest = 0.0  # m/s, of all looks
         self._rush = RUSH * float(scene.radius.min()) if parts.plan.pairs else np.inf  # m a substep
@@ -93,7 +92,7 @@ class Stepper:
             scene,
             self.method,
             part,
-            closed=not self.driven,
+            closed=not self.drivers,
             contacts=parts.contacts.active,
             precision=parts.backend.precision,
         )
@@ -286,6 +285,19 @@ class Stepper:
             self._warn("depth", f"at t = {self.time:.6g} s {where}; {cure}", stacklevel)
         return totals
 
+    def _drivers(self, colliders_move: bool) -> Iterator[str]:
+        """Parts that may add energy to the scene or take it, in words."""
+        scene, forces = self.scene, self.parts.arguments[4]
+        if colliders_move:
+            yield "moving colliders"
+        if scene.moving_pins:
+            yield "moving pins"
+        if scene.motors:
+            yield "motors"
+        yield from (element.name for element in ELEMENTS if element.gives_energy and element.count(scene))
+        if self.own:
+            yield "forces of your own" if forces else "a method or contact rule of your own"
+
     def scales(self) -> Scales:
         """Scales by which the run is judged."""
         scene, monitor = self.scene, self.monitor
@@ -293,7 +305,7 @@ class Stepper:
         touches = self.parts.contacts.active
         return Scales(
             slow=2.0 * float(np.linalg.norm(scene.gravity)) * self.h,
-            closed=monitor.closed,
+            drivers=self.drivers,
             takers=takers(scene, touches),
             motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
@@ -308,7 +320,7 @@ class Stepper:
         """A ball is lost by step `target`: the chunk once more with substeps halved until none is, which are kept. Where neither
         springs nor user-defined forces limit the method, a shorter step is no cure for a ball that left the world."""
         before = self.substeps
-        if self.may_shorten and (self.driven or 0.0 < self.safe.dt_any_shape < np.inf):
+        if self.may_shorten and (self.drivers or 0.0 < self.safe.dt_any_shape < np.inf):
             while self.substeps < self._most:
                 self._divide(2 * self.substeps)
                 sample = self._run(target)

@@ -201,6 +201,24 @@ def test_a_python_simulation(folder):
 
 
 @pytest.mark.slow
+def test_check_takes_a_python_simulation_that_has_a_force(folder):
+    (folder / "s.py").write_text(
+        "import taichi as ti\nimport taichi_sim as ts\n\n\n@ti.data_oriented\nclass Drag:\n    @ti.func\n"
+        "    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):\n"
+        "        for i in range(model.n):\n            impulse[i] -= h * 0.3 * ball[i].v\n\n"
+        "    def damping_rate(self, scene):\n        return 0.3 / scene.mass.min()\n\n\n"
+        "def simulation():\n    scene = ts.Scene(dim=2)\n"
+        "    scene.add_balls([[0, 0], [0, 1]], radius=0.1)\n    scene.add_springs([[0, 1]], stiffness=30.0)\n"
+        "    return ts.Simulation(scene, dt=4e-3, forces=[Drag()])\n"
+    )
+    done = command(folder, "check", "s.py")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "spring 0" in done.stdout
+    done = command(folder, "check", "s.py", "--settle")
+    assert "--settle: s.py makes its own simulation()" in done.stderr
+
+
+@pytest.mark.slow
 def test_a_python_simulation_is_shown_as_its_scene_says(folder):
     (folder / "s.py").write_text(
         "import taichi_sim as ts\n\ndef simulation():\n    scene = ts.Scene(dim=2)\n"
@@ -415,6 +433,10 @@ def test_resume_says_where_nothing_is_kept(folder):
     assert done.returncode == 0
     assert done.stderr == "x.npz: is complete, and is left as it is; without --resume it is made anew\n"
     assert (folder / "x.npz").stat().st_ino == before
+    done = command(folder, "run", "ball.toml", "-o", "x.npz", "-o", "y.csv", "--resume")
+    assert done.stderr.count("x.npz: is complete") == 1
+    assert "written      y.csv" in done.stdout
+    assert "written      x.npz" not in done.stdout
 
 
 def test_cuda_without_a_gpu(folder):

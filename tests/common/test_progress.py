@@ -44,6 +44,20 @@ def test_lines_go_where_the_command_writes(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize("printed_apart", [False, True])
+def test_a_log_has_no_line_of_work_that_says_nothing(monkeypatch, capfd, printed_apart):
+    monkeypatch.setattr(progress, "EVERY", 0.02)
+    if printed_apart:
+        monkeypatch.setattr(sys, "__stderr__", sys.stderr)
+    work, words = progress.Work(), iter([""] * 9)
+    work.words = lambda: next(words, "loading")
+    seen = []
+    with progress.showing(work, True):
+        assert waited(lambda: seen.append(capfd.readouterr().err) or "loading" in "".join(seen))
+    seen.append(capfd.readouterr().err)
+    assert all(line.endswith("  loading") for line in "".join(seen).splitlines())
+
+
 def test_nothing_is_said_of_quiet_or_short_work(capsys):
     with progress.showing(progress.Work(3), False):
         pass

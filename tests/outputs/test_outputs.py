@@ -70,7 +70,7 @@ class FakeSimulation:
         """Nothing to solve."""
 
     def scales(self) -> Scales:
-        return Scales(slow=0.02, closed=True, takers=("friction",), motion=2.0, swing=0.0, squeezes=False)
+        return Scales(slow=0.02, drivers=(), takers=("friction",), motion=2.0, swing=0.0, squeezes=False)
 
     def momentum(self) -> np.ndarray:
         return np.array([1.0, 2.0])

@@ -158,6 +158,7 @@ DRAWN = ("x.mp4", "x.gif", "frames/", "own")
      *((name, Whole, None) for name in DRAWN), (("x.csv", "x.mp4", "x.pvd", "x.npz"), Whole, None)],
     ids=str,
 )  # fmt: skip
+@pytest.mark.filterwarnings("ignore:.*is complete, and is left:UserWarning")
 def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, names, kind, codec):
     """Cut off twice while it is simulated, and, where pictures come last, while it is drawn."""
     how = {"kind": kind, "codec": codec}
@@ -358,7 +359,8 @@ def test_of_several_outputs_one_alone_goes_on(tmp_path):
     cut_off(folder, ("x.gif", "x.npz"), 13)
     assert run(folder, "x.npz", resume=True).resumed == 13
     assert (folder / "x.npz").read_bytes() == (whole / "x.npz").read_bytes()
-    assert run(folder, ("x.gif", "x.npz"), resume=True).resumed == 13  # the other is complete
+    with pytest.warns(UserWarning, match="x.npz: is complete"):
+        assert run(folder, ("x.gif", "x.npz"), resume=True).resumed == 13
     assert files(folder) == files(whole)
 
 
@@ -407,10 +409,41 @@ def test_what_is_complete_is_left_as_it_is(tmp_path, name):
     assert out.is_finished(COUNT)
     other = open_output(tmp_path / "other.csv", resume=True)  # was not begun
     assert not other.is_finished(COUNT)
-    summary = export(FakeSimulation(), [out, other], duration=29 / 60, size=SIZE)
+    with pytest.warns(UserWarning, match="is complete, and is left as it is"):
+        summary = export(FakeSimulation(), [out, other], duration=29 / 60, size=SIZE)
     assert summary.frames == COUNT
     (tmp_path / "other.csv").unlink()
     assert {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize("duration", [0.5, 0.9])
+def test_a_users_own_output_that_is_complete_is_neither_discarded_nor_simulated(tmp_path, duration):
+    class Tidy(Own):
+        """Deletes what is not whole."""
+
+        def discard(self):
+            self.path.unlink()
+
+    def exported(resume):
+        return export(Steady(), Tidy(tmp_path / "own", resume), fps=20, duration=duration if resume else 0.5, size=SIZE)
+
+    exported(resume=False)
+    before, Steady.made = (tmp_path / "own").read_bytes(), 0
+    with pytest.warns(UserWarning, match="own: is complete, and is left as it is"):
+        summary = exported(resume=True)
+    assert (tmp_path / "own").read_bytes() == before
+    assert Steady.made == 0
+    assert summary.lines() == [f"complete     {tmp_path / 'own'}, which is left as it is"]
+
+
+@pytest.mark.parametrize("name", ["x.mp4", "x.npz", "frames/"])
+def test_nothing_is_simulated_where_all_outputs_are_complete(tmp_path, name):
+    run(tmp_path, name)
+    before, Steady.made = files(tmp_path), 0
+    with pytest.warns(UserWarning, match="is complete, and is left as it is"):
+        summary = run(tmp_path, name, resume=True)
+    assert (Steady.made, summary.frames) == (0, 0)
+    assert files(tmp_path) == before
 
 
 @pytest.mark.parametrize("name", ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply"])

@@ -20,6 +20,19 @@ def test_a_word_that_is_no_argument_is_refused_with_what_was_meant(tmp_path, wor
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("of_scene", [True, False])
+def test_a_video_takes_what_a_picture_takes(tmp_path, monkeypatch, of_scene):
+    seen = []
+    monkeypatch.setattr(quick, "export", lambda *_, style, **__: seen.append(style) or quick.Summary())
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0]], radius=0.1)
+    scene.output = {"stage": "studio"}
+    view = {"centre": (0.5, 0.0), "height": 3.0}
+    with ts.Simulation(scene, contacts="off") as sim:
+        ts.video(scene if of_scene else sim, tmp_path / "x.npz", style={"shadow": False}, camera=view, subdivide=1)
+    assert seen == [{"stage": "studio", "shadow": False, "camera": view, "subdivide": 1}]
+
+
 @pytest.mark.parametrize(("given", "shown"), [({}, True), ({"progress": False}, False)])
 def test_a_video_shows_its_progress_unless_told_not_to(tmp_path, monkeypatch, given, shown):
     seen = []

@@ -195,6 +195,26 @@ def test_runs_that_are_exact_are_said_to_be_so():
     assert "can be told" not in said
 
 
+@pytest.mark.parametrize(
+    ("parts", "said"),
+    [
+        ((1.1, 2.2), "2 of 3 runs became unstable, at steps above the safe one;"),
+        ((0.9, 2.2), "2 of 3 runs became unstable, 1 of them at a step above the safe one;"),
+        ((1.1, 2.2, 1.0), "3 of 4 runs became unstable, 2 of them at steps above the safe one;"),
+        ((0.9,), "1 of 2 runs became unstable;"),
+        ((1.7,), "1 of 2 runs became unstable, at a step above the safe one;"),
+        ((None, 0.7), "2 of 3 runs became unstable;"),
+    ],
+)
+def test_runs_that_became_unstable_are_told_by_the_safe_step(parts, said):
+    ends = np.full(PARTS, 1e-6)
+    x, none, energy = np.ones((PARTS, 2, 2)), np.ones((PARTS, 0)), np.ones((PARTS, 4))
+    reference = Reference("rk4", 1e-3, 1.0, x, none, energy, ends, 0 * ends + 1.0, ends, 0, False, "")
+    wild = [replace(row(1.0, 1e-3, "unstable"), part_of_safe_step=part) for part in parts]
+    lines = list(Findings(plan(), pair(), reference, [row(2.0, 1e-3), *wild], []).lines())
+    assert any(line.startswith(said) for line in lines)
+
+
 def test_steps_fit_and_halve():
     for method in METHODS:
         steps = steps_of(pair(), method, Plan("pair", 0.37))

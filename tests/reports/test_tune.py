@@ -54,6 +54,9 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
         "precision": "f32",
     }
     assert 'integrator = "verlet"' in said[1]
+    value, left = said[2].splitlines()[:2]
+    assert value.startswith("value")
+    assert left == "             not included: the mesh, see `taichi-sim report --resolutions`"
 
 
 def test_check_knows_what_an_undamped_spring_allows():

@@ -367,3 +367,18 @@ def test_what_two_passes_leave_of_a_sheet_is_said_of_xpbd():
     assert said[0].endswith(
         ", as xpbd goes through the springs twice in a step of 0.0357143 s and leaves them stretched; take shorter steps"
     )
+
+
+@pytest.mark.once
+def test_what_works_on_a_scene_is_named():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 1.0], [0.7, 1.0]], radius=0.1)
+    with ts.Simulation(scene, dt=1e-3, contacts="off") as sim:
+        assert sim.scales().drivers == ()
+    with ts.Simulation(scene, dt=1e-3, contacts="off", forces=[Drag(0.3)]) as sim:
+        assert sim.scales().drivers == ("forces of your own",)
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0.0, 1.0, 0.0]], radius=0.1)
+    scene.add_wind(velocity=(1, 0, 0))
+    with ts.Simulation(scene, dt=1e-3, contacts="off") as sim:
+        assert sim.scales().drivers == ("wind",)

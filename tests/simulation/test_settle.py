@@ -64,7 +64,7 @@ def test_a_setting_does_it_and_the_summary_says_what_is_left():
         assert sim.settled.reached
         start = sim.position
         summary = export(sim, None, fps=20, duration=0.1)
-        assert any(line.startswith("settled      at rest, largest net force") for line in summary.lines())
+        assert any(line.startswith("start        at rest, largest net force") for line in summary.lines())
     other = settled_scene(bridge(settle=TOLERANCE))
     assert "settle" not in other.settings
     np.testing.assert_array_equal(other.position, start)

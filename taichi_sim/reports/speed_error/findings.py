@@ -171,9 +171,18 @@ class Findings:
         for verdict, words in ((UNSTABLE, "became unstable"), (LEFT_OUT, "left out")):
             some = [row for row in self.rows if row.verdict == verdict]
             if some:
+                if verdict == UNSTABLE:
+                    words += _above_safe(some)
                 yield f"{len(some)} of {len(self.rows)} runs {words}; the pages name them and the reasons."
         if self.intervals:
             yield f"The pages compare {len(self.intervals)} methods and steps by statistics over 8 starts."
+
+
+def _above_safe(rows: list[Row]) -> str:
+    """End of a sentence: that rows are of steps above the safe one, or some of them; empty where none is."""
+    above = sum((row.part_of_safe_step or 0.0) > 1.0 + 1e-9 for row in rows)
+    of_them = f"{above} of them " if above < len(rows) else ""
+    return f", {of_them}at {'steps' if above > 1 else 'a step'} above the safe one" if above else ""
 
 
 def in_unit(word: str, unit: str) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.methods import named
+from taichi_sim.analysis.outcome import left_out, not_included
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
@@ -73,7 +74,7 @@ def main(
         f"cheapest settings with an error of {compared.name} below {percent(plan.tolerance)} in the first {until:.3g} s:"
     )
     say("\n".join(["[simulation]", *(f"{key} = {_toml(value)}" for key, value in settings.items())]))
-    say("\n".join(_outcome(compared, reference, row, plan.tolerance)))
+    say("\n".join(_outcome(scene, compared, reference, row, plan.tolerance)))
     if len(rows) > 1:
         say(f"{'as fast':12} {equal(rows)}")
     if untried:
@@ -86,11 +87,13 @@ def main(
     return settings
 
 
-def _outcome(compared: Compared, reference: Reference, row: Row, tolerance: float) -> Iterator[str]:
+def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, tolerance: float) -> Iterator[str]:
     """Lines of the outcome: the value with its error, what error was allowed, what was found, and its cost."""
     off, unit = row.rms_error or 0.0, compared.unit
     value = measured(reference.motion, off, unit, "step")
     yield f"{'value':12} {compared.size_in_words()}: {value}"
+    if errors := list(left_out(scene)):
+        yield not_included(errors)
     yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of it"
     found = f"{measured(off, unit=unit)}, {percent(row.relative_error or 0.0)} of it"
     if off <= EXACT * reference.motion:
