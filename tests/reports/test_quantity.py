@@ -247,6 +247,15 @@ def test_a_preset_is_a_material(tmp_path):
     assert half.scene.mass.sum() == pytest.approx(ts.load_scene(tmp_path / "s.toml").mass.sum())
 
 
+def test_a_finer_rope_without_a_radius_is_no_rod_of_its_preset(tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE.replace("EA = 400.0\nmass = 1.2", "material = 'rubber'"))
+    coarse, half = ts.load_scene(file), resolution.finer(file, 1)[0].scene
+    assert half.mass.sum() == pytest.approx(coarse.mass.sum())
+    assert (half.stiffness * half.rest_length).mean() == pytest.approx((coarse.stiffness * coarse.rest_length).mean())
+    assert len(half.bends) == 0
+
+
 @pytest.mark.slow
 def test_finer_meshes_come_to_rest_by_themselves(tmp_path):
     """Each is settled, not the coarse one's shape taken for all."""
