@@ -1,6 +1,8 @@
 """`report` and `tune` by a quantity that a probe names, and the error of the mesh."""
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -267,6 +269,30 @@ def test_finer_meshes_come_to_rest_by_themselves(tmp_path):
     assert max(sags) < -0.05
     assert sags == pytest.approx([sags[-1]] * 3, rel=0.1)
     assert all("settle" not in fine.scene.settings for fine in meshes)
+
+
+@pytest.mark.slow
+def test_a_report_settles_in_double_precision(tmp_path):
+    """In a process of its own, which runs nothing before; all runs start from there, the reference in double among them."""
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE + "[simulation]\nsettle = 0.05\ncontacts = 'off'\nprecision = 'f64'\n")
+    says = (
+        "from taichi_sim.reports.speed_error.command import read; from taichi_sim.device import backend;"
+        f"read({str(file)!r}, duration=0.1); print(backend.running().precision)"
+    )
+    done = subprocess.run([sys.executable, "-c", says], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[-1:] == ["f64"], done.stderr
+
+
+def test_the_error_at_the_scenes_own_settings_is_that_of_its_own_precision(tmp_path, monkeypatch):
+    scene = pair()
+    scene.settings = {"precision": "f64"}
+    monkeypatch.setattr(report, "TrialProcesses", lambda *_: MadeUp(scene))
+    findings = report.main(scene, plan(precisions=("f64", "f32")), tmp_path / "r", **NONE)
+    assert findings.budget.single is not None
+    line = next(line for line in findings.about() if "own settings" in line)
+    assert "in double precision" in line
+    assert "single" not in line
 
 
 def test_nothing_to_refine(tmp_path):
