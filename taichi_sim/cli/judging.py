@@ -28,6 +28,7 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     from taichi_sim.reports import check as stability_report
 
     with Job(scene, {**options, "settle": False}).simulation() as sim:
+        sim.contacts()  # warns of balls that overlap deeply at the start
         echo("\n".join(stability_report.lines(sim)))
 
 
