@@ -12,6 +12,7 @@ from taichi_sim.scene.scene import Scene
 
 __all__ = [
     "DEEP",
+    "STARTS_DEEP",
     "Scales",
     "cure_of_depth",
     "left_out",
@@ -30,12 +31,14 @@ DRIVEN = "may add or take energy here, so the energy change is no measure of the
 LATE = 1e-4  # share of the energy of impacts that a step misses, above which it is said
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
+STARTS_DEEP = "move apart what overlaps at the start"
+
 
 class Scales(NamedTuple):
     """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. drivers: what works on it, in words;
     takers: what takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
     it that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy
-    itself. touches: there may be contacts."""
+    itself. touches: there may be contacts. starts_deep: balls were seen that overlap deeply at the start."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -45,6 +48,7 @@ class Scales(NamedTuple):
     squeezes: bool
     damps: str = ""
     touches: bool = True
+    starts_deep: bool = False
 
 
 def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
@@ -91,10 +95,11 @@ def cure_of_depth(squeezes: bool, step: float | None = None) -> str:
     return f"where something that moves squeezes them, stop it sooner; else {shorter}" if squeezes else shorter
 
 
-def of_depth(part: float, squeezes: bool) -> str:
+def of_depth(part: float, squeezes: bool, starts_deep: bool = False) -> str:
     """Verdict on the largest overlap as a part of the smaller radius."""
     grade = _grade(part, SHALLOW, DEEP)
-    return grade if grade == "good" else f"{grade}; {cure_of_depth(squeezes)}"
+    cure = STARTS_DEEP if starts_deep else cure_of_depth(squeezes)
+    return grade if grade == "good" else f"{grade}; {cure}"
 
 
 def of_approach(left: float, scales: Scales, fastest: float, iterations: int) -> str:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["overlap"]
+__all__ = ["overlap", "overlap_at_start"]
 
 ALIKE = 0.02  # of an overlap: kernels find it in single precision
 
@@ -17,9 +17,22 @@ def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float
     [m] at time [s]."""
     led = any(ball in pins.balls for pins in scene.moving_pins)
     one = f"{'moving pin' if led else 'ball'} {ball}"
-    found = min(_touched(scene, position, time, ball), key=lambda each: abs(each[0] - part), default=(np.inf, ""))
-    what = found[1] if abs(found[0] - part) <= ALIKE * part else "what it touches"  # a stick or a surface
+    what = _found(scene, position, time, ball, part) or "what it touches"
     return f"{one} and {what} overlap by {part:.2g} of the smaller radius"
+
+
+def overlap_at_start(scene: Scene, position: NDArray, time: float, ball: int, part: float) -> float:
+    """Overlap at the start, as a part of the smaller radius, of ball number `ball` and the ball that it touches by `part` at
+    position (n, dim) [m] and `time` [s]; 0 where it touches something else."""
+    what = _found(scene, position, time, ball, part)
+    before = {name: deep for deep, name in _touched(scene, scene.position, 0.0, ball)}
+    return before.get(what, 0.0) if what.startswith("ball") else 0.0
+
+
+def _found(scene: Scene, position: NDArray, time: float, ball: int, part: float) -> str:
+    """Name of what ball number `ball` overlaps with by `part`; empty for a stick or a surface."""
+    found = min(_touched(scene, position, time, ball), key=lambda each: abs(each[0] - part), default=(np.inf, ""))
+    return found[1] if abs(found[0] - part) <= ALIKE * part else ""
 
 
 def _touched(scene: Scene, position: NDArray, time: float, ball: int) -> Iterator[tuple[float, str]]:

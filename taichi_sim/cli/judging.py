@@ -30,6 +30,7 @@ def check(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     job = Job(scene, options)
     job.options["settle"] = False  # the step that is safe is so at rest, too
     with job.simulation() as sim:
+        sim.contacts()  # warns of balls that overlap deeply at the start
         echo("\n".join(stability_report.lines(sim)))
 
 

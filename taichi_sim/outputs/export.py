@@ -126,7 +126,8 @@ class Summary:
                 f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
                 f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
             )
-            depth = of_depth(self.relative_penetration, scales is not None and scales.squeezes)
+            squeezes, starts_deep = (False, False) if scales is None else (scales.squeezes, scales.starts_deep)
+            depth = of_depth(self.relative_penetration, squeezes, starts_deep)
             lines.append(
                 f"penetration  largest {self.penetration:.3g} m ({self.relative_penetration:.2g} of a radius),"
                 f" mean at the end {now.mean_penetration:.3g} m: {depth}"

@@ -27,13 +27,18 @@ class Obj:
         cuts = max((k for k in range(MOST_CUTS + 1) if len(loose) * 20 * 4**k <= BALL_TRIANGLES), default=0)
         self._ball = icosphere(cuts)
         self._of_surface: dict[int, str] = {}
+        self._pictured: list[int] = []  # with an image, which readers multiply by the colours of material and vertices
         self._of_ball = np.zeros(len(loose), dtype=np.int64)  # which material
         for k, name in enumerate(names):
             whole = parts.triangles[parts.number[parts.triangles[:, 0]] == k]
             if len(whole):
                 mapped = textures.get(parts.names[k]) if np.isfinite(parts.uv[whole]).all() else None
                 self._of_surface[k] = name
-                self.materials.append((name, parts.colour[np.unique(whole)].mean(axis=0), mapped))
+                colour = parts.colour[np.unique(whole)].mean(axis=0)
+                if mapped is not None:
+                    self._pictured.append(k)
+                    colour = np.ones(3)
+                self.materials.append((name, colour, mapped))
             mine = np.flatnonzero(parts.number[loose] == k)
             if len(mine):
                 colours, kind = few_colours(parts.colour[loose[mine]])
@@ -63,7 +68,8 @@ class Obj:
         n, m = len(parts.points), len(ball.vertices)
         around = parts.points[loose, None] + parts.radius[loose, None, None] * ball.vertices
         points = np.concatenate([parts.points, around.reshape(-1, 3)])
-        colour = np.concatenate([parts.colour, np.repeat(parts.colour[loose], m, axis=0)])
+        shown = np.where(np.isin(parts.number, self._pictured)[:, None], 1.0, parts.colour)
+        colour = np.concatenate([shown, np.repeat(parts.colour[loose], m, axis=0)])
         file.write(f"mtllib {self._library.name}\n".encode())
         np.savetxt(file, np.column_stack([points, colour]), fmt="v %.9g %.9g %.9g %.4g %.4g %.4g")
         np.savetxt(file, np.concatenate([parts.normals, ball.vertices]), fmt="vn %.6g %.6g %.6g")

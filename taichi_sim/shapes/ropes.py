@@ -62,12 +62,15 @@ def rope(
 
     It is made of a material and the same at every n: it stretches, bends, swings and is damped alike. With stiffness or
     bending_stiffness it is a chain of equal balls and springs instead, whose material depends on n. It does not resist twisting.
+    With a radius and a preset as material it is a solid round rod of that: its mass, EA and EI are those where none is given.
 
     Args:
         start, end: (dim,) of its first and its last ball [m]; n: how many balls, at least 2.
-        mass: of all of it [kg]; mass_per_length: in place of mass [kg/m]; 0.1.
-        EA: stretch stiffness, force per strain [N]; by default 1000 times the weight of the rope, at 10 m/s^2.
-        EI: bending stiffness, moment per curvature [N m^2]; 0 by default: a rope that is perfectly flexible.
+        mass: of all of it [kg]; mass_per_length: in place of mass [kg/m]; that of a rod of the preset, else 0.1.
+        EA: stretch stiffness, force per strain [N]; that of a rod of the preset, else 1000 times the weight of the rope, at
+            10 m/s^2.
+        EI: bending stiffness, moment per curvature [N m^2]; that of a rod of the preset where EA is not given, else 0: a rope
+            that is perfectly flexible.
         young_modulus: in place of EA and EI [Pa], those of a solid round rod of this radius, which then has to be given.
         stiffness: of each piece [N/m], in place of EA.
         bending_stiffness: of each three neighbouring balls [N/m], EI over the cube of their distance, in place of EI.
@@ -88,13 +91,21 @@ def rope(
     exclusive("rope", {"mass_per_length": mass_per_length}, {"mass": mass})
     exclusive("rope", {"young_modulus": young_modulus}, {"EA": EA, "EI": EI})
     points = a + np.linspace(0.0, 1.0, number)[:, None] * (b - a)
-    total = or_default("rope.mass", mass, or_default("rope.mass_per_length", mass_per_length, ROPE_DENSITY) * length)
+    of_material = all(value is None for value in chain.values())
+    solid = scene.preset(material) if of_material and radius is not None else None
+    per_length = ROPE_DENSITY
+    if solid is not None and solid.density is not None:
+        per_length = solid.density * _area(radius)
+    total = or_default("rope.mass", mass, or_default("rope.mass_per_length", mass_per_length, per_length) * length)
     spacing = length / (number - 1)
     drag = at_least_0("rope.damping", damping)
     masses: float | NDArray = total
     pairs = lattice_pairs((number,), (1,))
-    if all(value is None for value in chain.values()):
-        stretch, bend = _moduli(elastic, radius, FIRMNESS * total)
+    if of_material:
+        usual = (FIRMNESS * total, 0.0)
+        if solid is not None and solid.young_modulus is not None:
+            usual = _of_rod(solid.young_modulus, radius)
+        stretch, bend = _moduli(elastic, radius, usual)
         if drag is None:  # 2 zeta / omega times EA, omega = pi / (2 L) sqrt(EA L / m)
             drag = STRETCH_DAMPING * 4 / np.pi * float(np.sqrt(stretch * total * length))
         strength, bend, drag = stretch / spacing, bend / spacing**3, drag / spacing
@@ -119,19 +130,28 @@ def rope(
     return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, drag, bends=bends)
 
 
-def _moduli(elastic: dict[str, float | None], radius: float | None, default: float) -> tuple[float, float]:
-    """Stretch stiffness EA [N] and bending stiffness EI [N m^2] of a rope; default: EA where nothing tells it."""
-    modulus = elastic["young_modulus"]
+def _moduli(elastic: dict[str, float | None], radius: float | None, usual: tuple[float, float]) -> tuple[float, float]:
+    """Stretch stiffness EA [N] and bending stiffness EI [N m^2] of a rope; usual: both, where nothing tells them."""
+    stretch, bend, modulus = elastic["EA"], elastic["EI"], elastic["young_modulus"]
     if modulus is None:
-        return or_default("rope.EA", elastic["EA"], default), at_least_0("rope.EI", elastic["EI"], 0.0)
+        limp = usual[1] if stretch is None else 0.0
+        return or_default("rope.EA", stretch, usual[0]), at_least_0("rope.EI", bend, limp)
     if radius is None:
         raise SceneError(
             "rope.young_modulus", says="needs the radius of the rope; give radius, or EA and EI in its place"
         )
-    thick = validation.number("rope.radius", radius, positive=True)
-    area = np.pi * thick**2
-    stiffness = validation.number("rope.young_modulus", modulus, positive=True) * area
-    return stiffness, stiffness * thick**2 / 4
+    return _of_rod(validation.number("rope.young_modulus", modulus, positive=True), radius)
+
+
+def _of_rod(modulus: float, radius: float | None) -> tuple[float, float]:
+    """EA [N] and EI [N m^2] of a solid round rod with Young's modulus [Pa] and a radius [m]."""
+    area = _area(radius)
+    return modulus * area, modulus * area * area / (4 * np.pi)
+
+
+def _area(radius: float | None) -> float:
+    """Area of the cross section [m^2] of a rod with a radius [m]. Raises SceneError."""
+    return float(np.pi * validation.number("rope.radius", radius, positive=True) ** 2)
 
 
 @takes_color

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.outcome import DEEP, Scales, cure_of_depth, takers
+from taichi_sim.analysis.outcome import DEEP, STARTS_DEEP, Scales, cure_of_depth, takers
 from taichi_sim.analysis.stability import Stability, present_limit
-from taichi_sim.analysis.touching import overlap
+from taichi_sim.analysis.touching import overlap, overlap_at_start
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.elements import ELEMENTS
@@ -278,12 +278,20 @@ class Stepper:
         steps have brought balls deep into something."""
         totals = self.parts.contact_statistics()
         part = float(totals[statistics.LARGEST_PART])
-        if self.moved and part > DEEP:
-            ball = int(totals[statistics.BALL])
-            where = overlap(self.scene, self.parts.state.position, self.time, ball, part)
+        if part > DEEP and (self.moved or self.time == 0.0):
+            self._warn_of_depth(int(totals[statistics.BALL]), part, stacklevel + 1)
+        return totals
+
+    def _warn_of_depth(self, ball: int, part: float, stacklevel: int) -> None:
+        scene, position = self.scene, self.parts.state.position
+        began = overlap_at_start(scene, position, self.time, ball, part)
+        if began > DEEP:
+            where = overlap(scene, scene.position, 0.0, ball, began)
+            self._warn(STARTS_DEEP, f"at the start {where}: {STARTS_DEEP}", stacklevel)
+        elif self.moved:
+            where = overlap(scene, position, self.time, ball, part)
             cure = cure_of_depth(self.squeezes, self._rush / self._fastest if self._rushes else None)
             self._warn("depth", f"at t = {self.time:.6g} s {where}; {cure}", stacklevel)
-        return totals
 
     def _drivers(self, colliders_move: bool) -> Iterator[str]:
         """Parts that may add energy to the scene or take it, in words."""
@@ -310,6 +318,7 @@ class Stepper:
             motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
             squeezes=self.squeezes,
+            starts_deep=STARTS_DEEP in self._warned,
             damps="" if self.method.conserves else self.method.name,
             touches=touches,
         )

@@ -242,6 +242,16 @@ def test_check_says_what_is_safe(folder):
 
 
 @pytest.mark.slow
+def test_check_names_balls_that_overlap_at_the_start(folder):
+    (folder / "deep.toml").write_text(
+        "format = 1\ndim = 2\n[[balls]]\nposition = [[0.0, 3.0], [0.0, 3.05]]\nradius = 0.1\n"
+    )
+    done = command(folder, "check", "deep.toml")
+    assert done.returncode == 0, done.stderr
+    assert "at the start ball 0 and ball 1 overlap by 1.5 of the smaller radius: move apart" in done.stderr
+
+
+@pytest.mark.slow
 def test_check_says_that_a_tolerance_chooses_the_step(folder):
     done = command(folder, "check", "stiff.toml", "--tolerance", "1e-3")
     assert done.returncode == 0, done.stderr

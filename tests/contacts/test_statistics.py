@@ -9,6 +9,7 @@ import reference
 from physics_support import EPS, F64, VARIANTS, as_stored, each_dim, simulate, vector
 
 import taichi_sim as ts
+from taichi_sim.analysis import outcome
 from taichi_sim.outputs import export, open_output
 from taichi_sim.reports.memory import breakdown
 
@@ -155,6 +156,28 @@ def test_frames_of_an_export_hold_what_the_simulation_says(stack, tmp_path):
     assert summary.contacts == last
     assert f"{last.number} at the end" in "\n".join(summary.lines())
     assert stack.frame().contacts is None  # a frame by itself does not cost a look
+
+
+def test_balls_that_start_deep_in_each_other_are_named_and_no_step_is_advised():
+    """Two of three in a row, and one that only touches; seen from the start, or first after some steps."""
+    scene = ts.Scene(dim=2, gravity=(0, 0))
+    scene.add_balls([[0, 0], [1, 0], [1, 0.08], [1, 0.4]], radius=0.1, mass=[1, 2, 3, 4])
+    expected = (
+        "at the start ball 1 and ball 2 overlap by 1.2 of the smaller radius: move apart what overlaps at the start"
+    )
+    other = expected.replace("ball 1 and ball 2", "ball 2 and ball 1")
+    for looks in ((0, 1), (1,)):
+        with simulate(scene, dt=1e-3) as sim, warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            for steps in looks:
+                sim.step(steps) if steps else None
+                sim.contacts()
+            (text,) = [str(w.message) for w in seen if "overlap" in str(w.message)]
+            assert text in (expected, other)
+            assert (
+                outcome.of_depth(1.2, sim.scales().squeezes, sim.scales().starts_deep)
+                == "wrong; " + outcome.STARTS_DEEP
+            )
 
 
 @pytest.mark.slow

@@ -130,13 +130,20 @@ def test_an_obj_has_materials_and_its_library(made):
     library = (folder / "x_frames.mtl").read_text()
     known = dict(re.findall(r"newmtl (\S+)\nKd (.+)", library))
     for name, colour in (
-        ("left_flag", exchange.BLUE),
         ("pudding", exchange.RED),
         ("marbles_ball_0", exchange.GREEN),
         ("marbles_ball_1", exchange.RED),
         ("moon", exchange.RED),
     ):
         assert [float(word) for word in known[name].split()] == pytest.approx(linear(colour), abs=1e-4)
+    for name in ("left_flag", "sail"):  # readers multiply the image by both
+        assert [float(word) for word in known[name].split()] == [1.0] * 3
+    text = (folder / "x_00000.obj").read_text()
+    colour = np.array([line.split()[3:] for line in re.findall(r"^v (.+)", text, re.MULTILINE)], dtype=float)
+    for name, shown in (("left_flag", (1, 1, 1)), ("sail", (1, 1, 1)), ("pudding", exchange.RED)):
+        own = text.partition(f"\no {name}\n")[2].partition("\no ")[0]
+        corners = np.array(re.findall(r" (\d+)/", own), dtype=int) - 1
+        assert colour[corners] == pytest.approx(np.broadcast_to(shown, (len(corners), 3)), abs=1e-3)
     assert re.findall(r"map_Kd (.+)", library) == ["-s 2 2 1 flag.png", "sail.png"]
     for index in range(len(frames)):
         text = (folder / f"x_{index:05d}.obj").read_text()

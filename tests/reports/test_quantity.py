@@ -1,6 +1,8 @@
 """`report` and `tune` by a quantity that a probe names, and the error of the mesh."""
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -247,6 +249,15 @@ def test_a_preset_is_a_material(tmp_path):
     assert half.scene.mass.sum() == pytest.approx(ts.load_scene(tmp_path / "s.toml").mass.sum())
 
 
+def test_a_finer_rope_without_a_radius_is_no_rod_of_its_preset(tmp_path):
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE.replace("EA = 400.0\nmass = 1.2", "material = 'rubber'"))
+    coarse, half = ts.load_scene(file), resolution.finer(file, 1)[0].scene
+    assert half.mass.sum() == pytest.approx(coarse.mass.sum())
+    assert (half.stiffness * half.rest_length).mean() == pytest.approx((coarse.stiffness * coarse.rest_length).mean())
+    assert len(half.bends) == 0
+
+
 @pytest.mark.slow
 def test_finer_meshes_come_to_rest_by_themselves(tmp_path):
     """Each is settled, not the coarse one's shape taken for all."""
@@ -258,6 +269,30 @@ def test_finer_meshes_come_to_rest_by_themselves(tmp_path):
     assert max(sags) < -0.05
     assert sags == pytest.approx([sags[-1]] * 3, rel=0.1)
     assert all("settle" not in fine.scene.settings for fine in meshes)
+
+
+@pytest.mark.slow
+def test_a_report_settles_in_double_precision(tmp_path):
+    """In a process of its own, which runs nothing before; all runs start from there, the reference in double among them."""
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE + "[simulation]\nsettle = 0.05\ncontacts = 'off'\nprecision = 'f64'\n")
+    says = (
+        "from taichi_sim.reports.speed_error.command import read; from taichi_sim.device import backend;"
+        f"read({str(file)!r}, duration=0.1); print(backend.running().precision)"
+    )
+    done = subprocess.run([sys.executable, "-c", says], capture_output=True, text=True, check=False)
+    assert done.stdout.split()[-1:] == ["f64"], done.stderr
+
+
+def test_the_error_at_the_scenes_own_settings_is_that_of_its_own_precision(tmp_path, monkeypatch):
+    scene = pair()
+    scene.settings = {"precision": "f64"}
+    monkeypatch.setattr(report, "TrialProcesses", lambda *_: MadeUp(scene))
+    findings = report.main(scene, plan(precisions=("f64", "f32")), tmp_path / "r", **NONE)
+    assert findings.budget.single is not None
+    line = next(line for line in findings.about() if "own settings" in line)
+    assert "in double precision" in line
+    assert "single" not in line
 
 
 def test_nothing_to_refine(tmp_path):

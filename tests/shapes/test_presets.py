@@ -34,6 +34,53 @@ def test_a_cloth_of_a_preset_is_the_one_with_its_numbers():
     assert named.mass.sum() == pytest.approx(0.069)
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_rope_of_a_preset_and_a_radius_is_a_solid_rod_of_it(dim):
+    wood, radius, length = PRESETS["wood"], 0.02, 3.0
+    area = np.pi * radius**2
+    ends = (0.0,) * dim, (length, *[0.0] * (dim - 1))
+
+    def made(**options):
+        scene = ts.Scene(dim=dim)
+        scene.add_material("own", friction=0.4)
+        return scene, shapes_columns(scene, ts.shapes.rope(scene, *ends, 7, **options))
+
+    scene, named = made(material="wood", radius=radius)
+    own = {"young_modulus": wood.young_modulus, "mass_per_length": wood.density * area}
+    for key, column in made(material="own", radius=radius, **own)[1].items():
+        np.testing.assert_array_equal(named[key], column, err_msg=key)
+    assert scene.mass.sum() == pytest.approx(wood.density * area * length)
+    assert named["stiffness"] * length / 6 == pytest.approx(wood.young_modulus * area)
+    # what is given goes before the preset
+    for given in ({"mass": 3.0}, {"mass_per_length": 1.0}):
+        heavy, columns = made(material="wood", radius=radius, **given)
+        assert heavy.mass.sum() == pytest.approx(3.0)
+        assert columns["stiffness"] == pytest.approx(named["stiffness"])
+    soft = made(material="wood", radius=radius, EA=50.0)
+    assert soft[1]["stiffness"] * length / 6 == pytest.approx(50.0)
+    assert len(soft[0].bends) == 0
+    assert soft[0].mass.sum() == pytest.approx(wood.density * area * length)
+    limp = made(material="wood", radius=radius, EI=0.0)
+    assert limp[1]["stiffness"] == pytest.approx(named["stiffness"])
+    assert len(limp[0].bends) == 0
+    # without a radius, of a chain, or of a material of cloth only the preset's touch is meant
+    for material, options in (
+        ("wood", {}),
+        ("wood", {"radius": radius, "stiffness": 9.0}),
+        ("silk", {"radius": radius}),
+    ):
+        usual, columns = made(material=material, **options)
+        for key, column in made(material="own", **options)[1].items():
+            np.testing.assert_array_equal(columns[key], column, err_msg=key)
+        assert usual.mass.sum() == pytest.approx(0.1 * length)
+
+
+def shapes_columns(scene, rope):
+    """Numbers that a rope is made of."""
+    springs = {key: getattr(scene, key)[rope.springs] for key in ("stiffness", "damping", "rest_length")}
+    return springs | {"mass": scene.mass[rope.balls], "bends": scene.bend_stiffness}
+
+
 def test_a_mesh_has_no_shear_stiffness_of_its_own():
     scene = ts.Scene(dim=3)
     ts.shapes.cloth(scene, mesh=([[0, 0, 0], [1, 0, 0], [0, 0, 1]], [[0, 2, 1]]), material="denim")

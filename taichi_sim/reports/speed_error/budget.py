@@ -26,7 +26,7 @@ class Budget:
     moments compared.
 
     value: of the quantity, the largest at these moments, or how far it has gone; of positions, the largest rms displacement.
-    time: of the last moment. order: of the mesh, as observed.
+    time: of the last moment. order: of the mesh, as observed. precision: the scene's own.
     """
 
     name: str
@@ -41,12 +41,16 @@ class Budget:
     single: float | None = None
     why: str = ""  # the mesh's error is not known
     meshed: bool = True  # springs or cells, whose mesh may be finer
+    precision: str = "f32"
 
     def lines(self) -> Iterator[str]:
         """Line of words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
         parts = {"step": self.step, "mesh": self.mesh, "single precision": self.single}
         if not self.meshed:
             del parts["mesh"]
+        double = self.precision == "f64"
+        if double:
+            del parts["single precision"]
         known = sorted(((value, name) for name, value in parts.items() if value is not None), reverse=True)
         told = [one for one in known if one[0] > EXACT * self.value]
         words = [
@@ -55,10 +59,13 @@ class Budget:
         words += [f"+- {measured(value, unit=self.unit, source=name)}" for value, name in told[1:]]
         words += [f"{name} exact to rounding" for _, name in known[len(told) :]]
         words += [f"{name} not known" for name, value in parts.items() if value is None]
+        own = "the scene's own settings" + " in double precision" * double
         yield (
-            f"{self.name} with {self.method} at {self.step_length:.3g} s, the scene's own settings, at most until"
-            f" {self.time:.3g} s: {', '.join(words)}."
+            f"{self.name} with {self.method} at {self.step_length:.3g} s, {own}, at most until {self.time:.3g} s:"
+            f" {', '.join(words)}."
         )
+        if double and self.single is not None:
+            yield f"Single precision, which the scene does not use, would add +- {measured(self.single, unit=self.unit)}."
         if self.mesh is not None and self.step is not None and self.mesh > HIDING_MESH * self.step:
             yield (
                 "The error of the mesh is by far the largest: only a finer resolution reduces it. The fastest settings below"
@@ -91,7 +98,13 @@ def made(
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
     until = trials.plan.duration * parts / PARTS
     meshed = bool(trials.scene.n_springs or len(trials.scene.cells))
-    return Budget(name, compared.unit, value, until, method, step.seconds, off, single=rounded, meshed=meshed)
+    precision = trials.scene.settings.get("precision") or "f32"
+    return Budget(
+        *(name, compared.unit, value, until, method, step.seconds, off),
+        single=rounded,
+        meshed=meshed,
+        precision=precision,
+    )
 
 
 def _reached(outcome: Outcome) -> bool:

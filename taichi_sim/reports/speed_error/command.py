@@ -83,10 +83,13 @@ def read(
 
 
 def settled_scene(scene: Scene) -> Scene:
-    """The scene as it is where it has come to rest, which every method and step starts from."""
+    """The scene as it is where it has come to rest, which every method and step starts from: in double precision, as the
+    reference is, or in the one that the process runs already."""
+    from taichi_sim.device import backend
     from taichi_sim.simulation.simulation import Simulation
 
-    with Simulation(scene, precision=None, arch=None, threads=None) as simulation:
+    precision = "f64" if backend.running() is None else None
+    with Simulation(scene, precision=precision, arch=None, threads=None) as simulation:
         position = simulation.position
     made = copy(scene)
     made.settings = {key: value for key, value in scene.settings.items() if key != "settle"}

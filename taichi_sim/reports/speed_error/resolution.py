@@ -21,6 +21,7 @@ from taichi_sim.files.toml_schema import SHAPES
 from taichi_sim.reports.speed_error.command import settled_scene
 from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes.ropes import FIRMNESS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -101,9 +102,7 @@ class _Level:
             if grid is not None:
                 if kind == "rope":
                     table["n"] = 2 * grid[0] - 1
-                    table.setdefault(
-                        "radius", float(self.coarse.radius[first_ball])
-                    )  # else thinner than the coarse one
+                    self._keep_rope(table, slice(first_ball, first_ball + number))
                 else:
                     table["resolution"] = [2 * n - 1 for n in grid]
                 if isinstance(table.get("pinned"), list) and all(type(ball) is int for ball in table["pinned"]):
@@ -118,6 +117,16 @@ class _Level:
                 f"--resolutions: {file}: has nothing to refine: a rope, or a cloth or jelly of a material with a resolution"
             )
         self.everywhere = np.concatenate(parts)
+
+    def _keep_rope(self, table: dict[str, Any], balls: slice) -> None:
+        """Give a rope whose radius follows from n that of the coarse one, and its mass and EA: with a radius, those of a preset
+        would go before the usual ones."""
+        if "radius" in table:
+            return
+        table["radius"] = float(self.coarse.radius[balls][0])
+        if "mass_per_length" not in table:
+            table.setdefault("mass", float(self.coarse.mass[balls].sum()))
+        table.setdefault("EA", FIRMNESS * float(self.coarse.mass[balls].sum()))
 
     def _grid(self, kind: str, k: int, table: dict[str, Any], number: int) -> tuple[int, ...]:
         """Balls along each axis. Raises SceneError for springs that are no material, which another mesh makes another body."""
