@@ -1,6 +1,6 @@
 """Distances from a closed mesh, kept on a grid around it, and where that is too coarse the triangles themselves."""
 
-from copy import copy
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,7 +83,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     loops.seed(corner, closest, best, frame)
     reaches = [1 << k for k in reversed(range(int(size.max()).bit_length()))]
     for distance in [*reaches, 2, 1]:
-        source = copy(closest)
+        source = deepcopy(closest)  # `copy` of an engine's array would share and free its memory
         loops.spread(corner, source, closest, best, frame, distance)
     each_once = given((collider.vertices - origin)[collider.triangles].reshape(-1, 3))  # in a tree some are there twice
     windings = given(np.zeros(shape), np.int32)
