@@ -129,7 +129,7 @@ def _bounces(scene: Scene, h: float) -> Iterator[Finding]:
 def _impacts(scene: Scene, h: float) -> Iterator[Finding]:
     """Balls are found to touch up to h late. By then the line between them has turned by u sin(a) t / d, with t = h / 2 and
     sin(a) = 1/2 (3D: 2/3) on average, and the direction in which they part by twice as much."""
-    loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
+    loose = scene.loose()
     if np.count_nonzero(loose) < 1 or scene.n_balls < 2:
         return
     speed = _fastest(scene)
@@ -254,7 +254,7 @@ def sieves(scene: Scene) -> Iterator[Sieve]:
 def _loose_through(scene: Scene, around: Floats, radius: Floats, side: Floats) -> Iterator[Sieve]:
     """The smallest ball that belongs to nothing; where triangles collide nothing goes through."""
     thin = ~scene.solid
-    loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
+    loose = scene.loose()
     loose[scene.triangles] = False
     for material in np.unique(scene.group[loose]) if thin.any() else ():
         some = np.flatnonzero(loose & (scene.group == material))

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 
 def _crowd(scene: Scene) -> NDArray[np.bool_]:
     """Loose balls (n,) that collide with some loose ball."""
-    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    loose = scene.loose()
     bits = scene.group.astype(np.int64) << 32 | scene.mask.astype(np.uint32)
     met = np.zeros_like(loose)
     for pair in bits_of(bits[loose]):

@@ -18,7 +18,7 @@ BY_SWEEPS = ((1.0, 0.13), (2.0, 0.23), (4.0, 0.32), (8.0, 0.42), (16.0, 0.51), (
 def returned(scene: Scene, impacts: str) -> float:
     """Part of the speed of an impact that may come back where none should; 0 where impacts are solved in turn, balls bounce
     anyway, or fewer than two are loose."""
-    loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
+    loose = scene.loose()
     dull = any(scene.materials[k].restitution < LITTLE_BOUNCE for k in np.unique(scene.material[loose]))
     if impacts == IN_TURN or not dull or np.count_nonzero(loose) < 2 or not np.any(scene.gravity):
         return 0.0

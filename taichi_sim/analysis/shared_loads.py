@@ -16,7 +16,7 @@ CURE = "let the floor sink by a radius before you read the force, or take the me
 
 def are_read(scene: Scene) -> bool:
     """True if a force or impulse is asked of one of several surfaces that loose balls with friction may lie on."""
-    loose = ~scene.pinned & (scene.body == 0) & ~scene.joined()
+    loose = scene.loose()
     rough = any(scene.materials[k].friction > 0.0 for k in np.unique(scene.material[loose]))
     several = len(scene.walls) + len(scene.colliders) > 1 and np.count_nonzero(loose) > 2
     return bool(bodies_of(scene) and several and rough and np.any(scene.gravity != 0.0))

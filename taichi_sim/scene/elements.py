@@ -35,6 +35,10 @@ class Elements(CellMethods, BendingMethods, GasMethods, WindMethods):
             joined[balls] = True
         return joined
 
+    def loose(self: Any) -> NDArray[np.bool_]:
+        """Mask (n,) of the balls that are not pinned and belong to no body, spring or element."""
+        return ~self.pinned & (self.body == 0) & ~self.joined()  # type: ignore[no-any-return]
+
     def attach(
         self: Any,
         one: ArrayLike,

@@ -343,7 +343,7 @@ def silo(**kinds):
 
 
 def test_the_load_of_a_silo_is_said_to_be_one_of_many():
-    """Where a probe reads it, and friction may hold the balls; a lone floor carries all."""
+    """`check` says so where a probe reads it and friction may hold the balls; a lone floor carries all."""
     setup = accuracy.Setup(VERLET, 1e-3, PRECISION, "gauss_seidel")
 
     def finding(scene, reads=True):

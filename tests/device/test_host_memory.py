@@ -42,7 +42,7 @@ class Kinds:
 
     @ti.kernel
     def mirrored(self) -> ti.f32:
-        """What the host has written, by a kernel."""
+        """Sum, by a kernel, of numbers that the host has written."""
         total = 0.0
         for i in range(self.n):
             total += self.vector[i][1] + self.matrix[i][2, 1] + self.row[i].vector[2] + self.real[i]

@@ -62,7 +62,7 @@ class Numbers:
 
 
 def _chained(last=3.0):
-    """What two steps and a start make of 1, on one thread."""
+    """Numbers that two steps and a start make of 1, on one thread."""
     numbers = Numbers(last)
     numbers.x.fill(1.0)
     numbers.fused(STEP, 2, 0.5)

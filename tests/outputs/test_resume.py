@@ -261,7 +261,7 @@ def test_pictures_that_are_not_whole_are_drawn_again(tmp_path, cut):
 
 
 def test_pictures_are_kept_until_all_is_done(tmp_path):
-    """Where the run is cut off again before it comes to new ones, and where the first one anew has not come yet."""
+    """A run is cut off again before it comes to new frames, or before the first one is made anew."""
     cut_off(tmp_path, "x.mp4", 13, checkpoint=None)
     cut_off(tmp_path, "x.mp4", 5, checkpoint=None, resume=True)
     open_output(tmp_path / "x.mp4").discard()

@@ -1,4 +1,4 @@
-"""How many runs of a study are done, and how many there will be."""
+"""Progress of a study: runs that are done, and runs that there will be."""
 
 import pytest
 

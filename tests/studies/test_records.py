@@ -1,4 +1,4 @@
-"""What a study keeps is read back as it was, and no damage passes for it."""
+"""Records of a study are read back as they were, and no damage passes for one."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ def test_rows_are_read_as_they_were_kept():
 
 
 def test_no_changed_character_of_a_row_passes():
-    """What is accepted all the same says the same: a letter of an escape in the other case."""
+    """A row with one character changed is refused, or says the same: a letter of an escape in the other case."""
     data = lines_of(READINGS[:2])
     refused = 0
     for place in range(len(data)):

@@ -62,7 +62,7 @@ def _box():
 
 
 def _discs():
-    from taichi_sim.reports.bench.runs import discs
+    from taichi_sim.benchmark.runs import discs
 
     return discs(0)
 

@@ -594,7 +594,7 @@ def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path
 
 @pytest.mark.once
 def test_a_value_that_is_refused_is_not_looked_for_in_the_file(tmp_path):
-    """Where another value stands."""
+    """The error of a value that is varied names no line of the file: another value stands there."""
     text = 'format = 1\ndim = 2\ngravity = [0.0, -9.0]\n[[materials]]\nname = "slate"\nfriction = 0.4\n'
     (tmp_path / "slate.toml").write_text(text + "[[balls]]\nposition = [[0.0, 1.0]]\nradius = 0.1\n")
     with pytest.raises(ts.SceneError, match=r"friction: -3\.0 is not allowed") as refused:
