@@ -53,7 +53,9 @@ class Here:
 
     said, number, apart = "in this process", 1, False
 
-    def run(self, work: Work, waiting: deque[Task], what: str) -> Iterator[tuple[Task, Any]]:
+    def run(
+        self, work: Work, waiting: deque[Task], what: str, alone: deque[Task] | None = None
+    ) -> Iterator[tuple[Task, Any]]:
         """Each task with what `work` makes of it. More may be put into `waiting` meanwhile. what: the work, for messages."""
         while waiting:
             task = waiting.popleft()
@@ -74,17 +76,23 @@ class Workers:
         workers = f"{self.number} worker{'s' * (self.number != 1)}"
         return f"{workers}, {self.client.dashboard_link}" if self.watched else workers
 
-    def run(self, work: Work, waiting: deque[Task], what: str) -> Iterator[tuple[Task, Any]]:
-        """Run tasks, with arguments as those of `Here.run`, and yield them in the order in which they end; None for a task
-        whose worker ended, which may be put into `waiting` again. Raises BackendError where `work` fails, or the scheduler
-        is lost."""
+    def run(
+        self, work: Work, waiting: deque[Task], what: str, alone: deque[Task] | None = None
+    ) -> Iterator[tuple[Task, Any]]:
+        """Run tasks, with arguments as those of `Here.run`, and yield them in the order in which they end. The result of a
+        task whose worker ended is None: another task of that worker may have ended it. Such a task may be put into `waiting`
+        again, or into `alone`: tasks there run at the end, one by one, with no other task on any worker.
+
+        Raises BackendError where `work` fails, or the scheduler is lost."""
         from distributed import as_completed
         from distributed.comm import CommClosedError
 
         running: dict[Any, Task] = {}
         done = as_completed()
         try:
-            while waiting or running:
+            while waiting or running or alone:
+                if alone and not waiting and not running:
+                    waiting.append(alone.popleft())
                 while waiting and len(running) < (1 + AHEAD) * self.number:
                     task = waiting.popleft()
                     future = self.client.submit(work, task, pure=False, retries=0)

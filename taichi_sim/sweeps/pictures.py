@@ -127,16 +127,20 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
     waiting = deque(islice(chunks, AHEAD * engine.number))
     drawn: dict[int, Images] = {}  # what cannot be asked for yet, by its first frame
     ended, following = Counter[int](), 0
+    alone: deque[tuple[int, int]] = deque()
     work = partial(_packed_chunk if engine.apart else _draw_chunk, task)
     try:
-        with closing(engine.run(work, waiting, "pictures")) as results:
+        with closing(engine.run(work, waiting, "pictures", alone)) as results:
             for (begin, end), images in results:
                 if images is None:
                     ended[begin] += 1
                     if ended[begin] > MOST_REPEATS:
                         times = ended[begin]
                         raise BackendError(f"pictures {begin} to {end - 1}: their workers ended {times} times")
-                    waiting.appendleft((begin, end))
+                    if ended[begin] == MOST_REPEATS:
+                        alone.append((begin, end))
+                    else:
+                        waiting.appendleft((begin, end))
                     continue
                 drawn[begin] = images
                 while following in drawn:

@@ -73,9 +73,10 @@ class Study:
         size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * self._engine.number))))
         work = partial(run_batch, self._runner.job) if self._engine.apart else self._runner.batch
         waiting: deque[Sequence[Point]] = deque(missing[k : k + size] for k in range(0, len(missing), size))
-        for batch, rows in self._engine.run(work, waiting, "sweep"):
+        alone: deque[Sequence[Point]] = deque()
+        for batch, rows in self._engine.run(work, waiting, "sweep", alone):
             if rows is None:
-                rows = self._again(batch, waiting)
+                rows = self._again(batch, waiting, alone)
             elif not batch_file(
                 self.kept.batches, rows, self.kept.mark
             ).is_file():  # its worker does not see the folder
@@ -83,8 +84,11 @@ class Study:
             self.kept.add(rows)
             yield rows
 
-    def _again(self, batch: Sequence[Point], waiting: deque[Sequence[Point]]) -> list[Row]:
-        """Let points whose worker ended be repeated, each by itself; rows that say so of those that ended it again and again."""
+    def _again(
+        self, batch: Sequence[Point], waiting: deque[Sequence[Point]], alone: deque[Sequence[Point]]
+    ) -> list[Row]:
+        """Let points whose worker ended be repeated, each by itself, and the last time alone; rows that say so of those that
+        ended it again and again."""
         ended = []
         for point in batch:
             self._repeated[point.key] += 1
@@ -92,7 +96,7 @@ class Study:
             if times > MOST_REPEATS:
                 ended.append(Row.of(point, error=f"its worker ended {times} times: killed, or out of memory"))
             else:
-                waiting.append([point])
+                (alone if times == MOST_REPEATS else waiting).append([point])
         return ended
 
 

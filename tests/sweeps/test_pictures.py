@@ -367,9 +367,9 @@ class Mortal:
     def __init__(self, ends):
         self.ends, self.asked = ends, []
 
-    def run(self, work, waiting, what):
-        while waiting:
-            begin, end = waiting.popleft()
+    def run(self, work, waiting, what, alone):
+        while waiting or alone:
+            begin, end = (waiting or alone).popleft()
             self.asked.append(begin)
             yield (begin, end), None if self.asked.count(begin) <= self.ends else list(np.arange(begin, end))
 

@@ -19,6 +19,7 @@ import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
 from taichi_sim.files.parameters import put
 from taichi_sim.studies.workers import Workers, _answers
+from taichi_sim.sweeps import study
 from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import measures_of
 from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
@@ -570,6 +571,59 @@ def test_workers_find_the_same_and_one_that_dies_is_a_row(tmp_path):
     ]
     assert [row.error for row in done.failed] == ["its worker ended 4 times: killed, or out of memory"]
     assert len({row.key for row in done.rows}) == len(done.rows) == len(table(tmp_path / "s")) == 5
+
+
+class OneWorker:
+    """Dask's client and its `as_completed`: a point of restitution 0.5 ends the one worker, and all that wait for it are lost."""
+
+    status = "running"
+
+    def __init__(self):
+        self.sent = []
+
+    def submit(self, work, task, **given):
+        self.sent.append(Future(work, task))
+        return self.sent[-1]
+
+    def add(self, future):
+        pass
+
+    def __next__(self):
+        if any(point.parameters["restitution"] == 0.5 for future in self.sent for point in future.task):
+            for future in self.sent:
+                future.status = "error"
+        return self.sent.pop(0)
+
+    def cancel(self, futures):
+        pass
+
+
+class Future:
+    status = "finished"
+
+    def __init__(self, work, task):
+        self.work, self.task = work, task
+
+    def result(self):
+        return self.work(self.task)
+
+    def exception(self):
+        return pytest.importorskip("distributed").KilledWorker("", None, 0)
+
+
+def test_a_point_that_waits_behind_one_that_ends_its_worker_is_not_blamed(tmp_path, monkeypatch):
+    """Three points are lost with another one each time; the last time each runs alone."""
+    client = OneWorker()
+    monkeypatch.setattr(pytest.importorskip("distributed"), "as_completed", lambda: client)
+    monkeypatch.setattr(study, "run_batch", lambda job, points: [Row.of(point) for point in points])
+    kept = SimpleNamespace(rows={}, batches=tmp_path, mark="", add=lambda rows: None)
+    run = Study(
+        None, None, SimpleNamespace(job=None), kept, {"restitution": {}}, lambda: Workers(client, 1, False), print
+    ).run
+    points = [Point({"restitution": value}) for value in (0.5, 0.2, 0.4, 0.6)]
+    rows = [row for some in run(points) for row in some]
+    assert [row.parameters["restitution"] for row in rows if row.error] == [0.5]
+    assert sorted(row.parameters["restitution"] for row in rows if not row.error) == [0.2, 0.4, 0.6]
 
 
 def test_a_refused_sweep_changes_nothing_and_a_folder_is_written_by_one(tmp_path):
