@@ -57,9 +57,9 @@ class Element(Corners):
     elastic = False
     balls: ArrayLike
     force: Callable[..., Any]
-    product: Callable[..., Any] | None = None
-    block: Callable[..., Any] | None = None
-    potential: Callable[..., Any] | None = None
+    product: Any = None  # a ti.func
+    block: Any = None
+    potential: Any = None
     columns: Mapping[str, Any] = {}
 
     @property

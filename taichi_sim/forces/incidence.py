@@ -53,6 +53,7 @@ class Corners:
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
+        self.corner_names = tuple(names)
         self.ties = np.stack([own, others[:, 0]], axis=1)  # (r, 2) balls that rows join
         self.start = fields.integers(start)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
