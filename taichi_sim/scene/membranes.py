@@ -109,7 +109,7 @@ def flattened(x: Floats, direction: Floats | None = None) -> Floats:
 
 
 def shape_gradients(rest: Floats) -> tuple[Floats, Floats]:
-    """Gradients (t, 3, 2) [1/m] of the linear functions that are 1 at a corner, and the areas (t,) [m^2], of triangles at rest."""
+    """Gradients (t, 3, 2) [1/m] of the linear functions that are 1 at a corner, and areas (t,) [m^2], of triangles at rest."""
     edges = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)
     inverse = np.linalg.inv(edges)
     return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), 0.5 * np.linalg.det(edges)
