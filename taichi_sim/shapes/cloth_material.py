@@ -141,7 +141,7 @@ def turned(number: Sequence[int]) -> NDArray[np.bool_]:
     """Mask of the squares of a grid of so many balls that are cut from the first corner to the last; the others are cut the other
     way. In turns, as chequers are coloured: cut all alike a sheet would shear where it is pulled, and cut both ways it could not
     fold."""
-    return np.asarray(np.add.outer(*(np.arange(n - 1) for n in number)) % 2 == 1)
+    return np.asarray(np.add.outer(*(np.arange(n - 1) for n in number)) % 2 == 0)
 
 
 def diagonals(index: NDArray) -> NDArray[np.int64]:
