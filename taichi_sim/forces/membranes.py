@@ -128,7 +128,7 @@ class Membranes(Corners):
 
     @ti.func
     def _factor(self, of, s):
-        """What the material's part has in s^2 K + s D [s^2]."""
+        """Factor of the material's part of s^2 K + s D [s^2]."""
         factor = s * s
         if ti.static(self.damped):
             factor += s * of.damping
