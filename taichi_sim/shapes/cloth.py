@@ -109,8 +109,9 @@ def cloth(
         shear_stiffness: the same across them [N/m]; a fifth of it by default. A mesh has none of its own: a third of it.
         bending_rigidity: moment per width and curvature [N m]; 1e-5, or that of a plate of the thickness.
         warp: of a fabric of triangles, the force per width and strain along the warp [N/m], which runs along x, on a mesh as far
-            as a triangle allows (along z where it faces x); weft: the same across it, the warp's by default [N/m]; coupling: force
-            along one by strain along the other [N/m], 0; shear: force per width and angle of shear [N/m], a fifth of the warp.
+            as a triangle allows (along z where it faces x); weft: the same across it, the warp's by default [N/m]; coupling:
+            force along one by strain along the other [N/m], 0; shear: force per width and angle of shear [N/m], a fifth of the
+            warp.
         warp_angle: of the warp, from x toward z [degrees].
         young_modulus: of a sheet of triangles that is alike in all directions [Pa]; thickness: of it [m];
             poisson_ratio: of it, 0.3 by default [1].
