@@ -226,8 +226,16 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
                 if since > 0.0:
                     solver.state.shift(i, shift_i)
                     solver.state.shift(j, shift_j)
-                    solver.pairs.contact[c].depth = reach - (ball[j].x - ball[i].x).norm()
+                    measure_again(solver, ball, i, j, c)
             since = 0.0
+
+
+@ti.func
+def measure_again(solver: ti.template(), ball: ti.template(), i, j, c):
+    """Find the depth of contact c anew if an impact has shifted either ball."""
+    if solver.impacts[i] + solver.impacts[j] > 0:
+        reach = solver.model.radius[i] + solver.model.radius[j]
+        solver.pairs.contact[c].depth = reach - (ball[j].x - ball[i].x).norm()
 
 
 @ti.func
