@@ -1,11 +1,13 @@
 """Continuous collision detection: what moves further than its radius in a step stops where it first touches a ball or a stick.
 
-It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step, and positions are the new
-ones already; a ball that moves less than its radius counts as being where it ends, for it cannot pass through anything meanwhile.
+It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step except where they bounce off
+walls (see bent_paths), and positions are the new ones already. A ball that moves less than its radius counts as being where it
+ends, for it cannot pass through anything meanwhile.
 Times of impact are found in rounds, each against the paths that the one before has left, so that what has stopped early is not
 run through by a third.
 """
 
+from taichi_sim.kernels.contacts import bent_paths
 from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
@@ -83,7 +85,8 @@ def take_time_of_impact(i, solver: ti.template()):
 def cut_short(i, solver: ti.template()):
     """Take back what ball i went beyond where it stops."""
     if solver.time_of_impact[i] < 1.0:
-        solver.state.shift(i, (solver.time_of_impact[i] - 1.0) * solver.displacement[i])
+        solver.state.shift(i, bent_paths.way(solver, i, solver.time_of_impact[i]) - solver.displacement[i])
+    bent_paths.end(solver, i)
 
 
 @ti.func
@@ -92,19 +95,20 @@ def note_displacement(solver: ti.template(), i, shift):
     solver.displacement[i] = shift
     if ti.static(solver.plan.gathers):
         begin_path(solver, i)
-    square = shift.dot(shift)
+    way = bent_paths.length(solver, i, shift)
     fast = solver.model.radius[i] ** 2
     if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
         fast = ti.min(fast, solver.crossing_squared[0])
-    if square > fast:
+    if way * way > fast:
         solver.swept[0].moved_fast = 1
-        ti.atomic_max(solver.longest_displacement[0], ti.sqrt(square))
+        ti.atomic_max(solver.longest_displacement[0], way)
 
 
 @ti.func
 def is_fast(solver: ti.template(), i):
     """True if ball i moved further than its radius in this step."""
-    return solver.displacement[i].dot(solver.displacement[i]) > solver.model.radius[i] ** 2
+    way = solver.displacement[i]
+    return way.dot(way) > solver.model.radius[i] ** 2 or bent_paths.is_bent(solver, i)
 
 
 @ti.func
@@ -121,8 +125,9 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
         x = start(solver, ball, i)
         # others lie in the grid where they were when it was made: since then they moved by the skin and this step
         margin = solver.model.radius[i] + (2.0 + grid.enlarged) * largest(grid, level) + solver.longest_displacement[0]
-        low = cell_of(ti.min(x, ball[i].x) - margin, grid, level)
-        high = cell_of(ti.max(x, ball[i].x) + margin, grid, level)
+        lowest, highest = bent_paths.box(solver, i, x, ball[i].x)
+        low = cell_of(lowest - margin, grid, level)
+        high = cell_of(highest + margin, grid, level)
         cells = 1.0 + 0.0 * x[0]
         for a in ti.static(range(solver.model.dim)):
             cells *= 1.0 + high[a] - low[a]
@@ -151,27 +156,44 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
 @ti.func
 def time_of_touch(solver: ti.template(), ball: ti.template(), i, j):
     """Part of its way at which ball i first touches ball j, or 1."""
-    t = 1.0 + 0.0 * ball[i].x[0]
-    reach = solver.model.radius[i] + solver.model.radius[j]
+    touch = 1.0 + 0.0 * ball[i].x[0]
     if i != j and may_touch(solver.pairs, i, j):
-        a = solver.displacement[i]
-        r = ball[j].x - start(solver, ball, i)
-        if is_fast(solver, j):
-            b = solver.displacement[j]
-            r -= b
-            one, two = solver.time_of_impact[i], solver.time_of_impact[j]
-            both = ti.min(one, two)
-            distance = stopping_distance(reach, r.norm())
-            t = meeting(r, b - a, distance, both)
-            if t >= both:  # then only one of them still moves
-                alone = ti.select(one < two, b, -a)
-                later = meeting(r + both * (b - a), alone, distance, ti.max(one, two) - both)
-                t = ti.select(later < ti.max(one, two) - both, both + later, 1.0)
-        else:
-            t = meeting(r, -a, stopping_distance(reach, r.norm()), solver.time_of_impact[i])
-            if t >= solver.time_of_impact[i]:
-                t = 1.0
-    return t
+        moves = is_fast(solver, j)
+        r = place(solver, ball, j, 0.0 * touch, moves) - start(solver, ball, i)
+        distance = stopping_distance(solver.model.radius[i] + solver.model.radius[j], r.norm())
+        t, end = 0.0 * touch, solver.time_of_impact[i]
+        while t < end:
+            r = place(solver, ball, j, t, moves) - place(solver, ball, i, t, True)
+            if bent_paths.is_unknown(solver, i, t):
+                around = bent_paths.beyond(solver, i) + ti.select(moves, path_length(solver, j), 0.0 * t)
+                touch = ti.select(r.norm() < distance + around, t, touch)
+                end = t
+            else:
+                until = ti.min(end, bent_paths.next_change(solver, i, t))
+                d = -bent_paths.motion(solver, i, t)
+                if moves:
+                    until = ti.min(until, bent_paths.next_change(solver, j, t))
+                    d += present_motion(solver, j, t)
+                later = t + meeting(r, d, distance, until - t)
+                if later < until:
+                    touch, end = later, later
+                t = until
+    return touch
+
+
+@ti.func
+def place(solver: ti.template(), ball: ti.template(), i, t, moves):
+    """Position of ball i [m] at part t of the step, or at its end, if it counts as being there."""
+    x = ball[i].x
+    if moves:
+        x = path(solver, ball, i, t)
+    return x
+
+
+@ti.func
+def path_length(solver: ti.template(), i):
+    """Length of the path of ball i [m], at most."""
+    return bent_paths.length(solver, i, solver.displacement[i])
 
 
 @ti.func
@@ -200,16 +222,17 @@ def meeting(r, d, distance, end):
 def sweep_stick(s, solver: ti.template(), ball: ti.template()):
     """Stop stick s and the balls that would cross each other before they do."""
     one, two = solver.sticks.one[s], solver.sticks.two[s]
-    moved = ti.max(solver.displacement[one].norm(), solver.displacement[two].norm())
+    moved = ti.max(path_length(solver, one), path_length(solver, two))
     # the box around the stick's way
-    low = ti.min(ti.min(ball[one].x, ball[two].x), ti.min(start(solver, ball, one), start(solver, ball, two)))
-    high = ti.max(ti.max(ball[one].x, ball[two].x), ti.max(start(solver, ball, one), start(solver, ball, two)))
+    low, high = bent_paths.box(solver, one, start(solver, ball, one), ball[one].x)
+    low_two, high_two = bent_paths.box(solver, two, start(solver, ball, two), ball[two].x)
+    low, high = ti.min(low, low_two), ti.max(high, high_two)
     for i in range(solver.n):
         r = solver.model.radius[i]
-        x, shift = ball[i].x, solver.displacement[i]
-        near = moved + shift.norm() > 0.5 * r
+        near = moved + path_length(solver, i) > 0.5 * r
+        lowest, highest = bent_paths.box(solver, i, start(solver, ball, i), ball[i].x)
         for a in ti.static(range(solver.model.dim)):
-            near = near and ti.max(x[a], x[a] - shift[a]) > low[a] - r and ti.min(x[a], x[a] - shift[a]) < high[a] + r
+            near = near and highest[a] > low[a] - r and lowest[a] < high[a] + r
         if near and may_touch_stick(solver.sticks, i, one, two):
             t = time_of_stick_touch(solver, ball, i, one, two)
             if t < 1.0:
@@ -221,7 +244,7 @@ def sweep_stick(s, solver: ti.template(), ball: ti.template()):
 @ti.func
 def path(solver: ti.template(), ball: ti.template(), i, t):
     """Position of ball i [m] at part t of the step."""
-    return ball[i].x + (ti.min(t, solver.time_of_impact[i]) - 1.0) * solver.displacement[i]
+    return start(solver, ball, i) + bent_paths.way(solver, i, ti.min(t, solver.time_of_impact[i]))
 
 
 @ti.func
@@ -236,12 +259,15 @@ def time_of_stick_touch(solver: ti.template(), ball: ti.template(), i, one, two)
     distance = stopping_distance(solver.model.radius[i], d)
     near = 1e-3 * distance
     for _ in range(STICK_ITERATIONS):
-        if d > distance + near and t < 1.0:
-            x, u = path(solver, ball, i, t), present_displacement(solver, i, t)
-            until = ti.min(end_of_way(solver, i, t), ti.min(end_of_way(solver, one, t), end_of_way(solver, two, t)))
+        known = not (is_lost(solver, i, t) or is_lost(solver, one, t) or is_lost(solver, two, t))
+        if d > distance + near and t < 1.0 and known:
+            x, u = path(solver, ball, i, t), present_motion(solver, i, t)
+            until = bent_paths.next_change(solver, i, t)
+            until = ti.min(until, bent_paths.next_change(solver, one, t))
+            until = ti.min(until, bent_paths.next_change(solver, two, t))
             for which in ti.static(range(2)):
                 end = one if ti.static(which == 0) else two
-                closing = n.dot(present_displacement(solver, end, t) - u)
+                closing = n.dot(present_motion(solver, end, t) - u)
                 if closing > 0.0:
                     until = ti.min(until, t + (n.dot(x - path(solver, ball, end, t)) - distance) / closing)
             t = until
@@ -250,15 +276,15 @@ def time_of_stick_touch(solver: ti.template(), ball: ti.template(), i, one, two)
 
 
 @ti.func
-def present_displacement(solver: ti.template(), i, t):
+def present_motion(solver: ti.template(), i, t):
     """Motion of ball i at part t of the step [m per step]."""
-    return ti.select(t < solver.time_of_impact[i], 1.0, 0.0) * solver.displacement[i]
+    return ti.select(t < solver.time_of_impact[i], 1.0, 0.0) * bent_paths.motion(solver, i, t)
 
 
 @ti.func
-def end_of_way(solver: ti.template(), i, t):
-    """Part of the step at which ball i stops, or 1 where it has stopped already."""
-    return ti.select(t < solver.time_of_impact[i], solver.time_of_impact[i], 1.0 + 0.0 * t)
+def is_lost(solver: ti.template(), i, t):
+    """True if ball i, which has not stopped, may be anywhere around the first bend of its path."""
+    return bent_paths.is_unknown(solver, i, t) and t < solver.time_of_impact[i]
 
 
 @ti.func

@@ -9,12 +9,13 @@ h a / 2 - m (m . h a / 2) with m = sqrt((1 + e) t / h) n, its `reflected`. Witho
 speed u would gain h^2 k u^2 / 6 on average, as the force changes with its way.
 """
 
+from taichi_sim.kernels.contacts import bent_paths
 from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
 from taichi_sim.kernels.contacts.colliders import surface_velocity
 from taichi_sim.kernels.contacts.contact_law import decayed, rebound
 from taichi_sim.kernels.contacts.kinds import RESTING
 from taichi_sim.kernels.contacts.parabola import crossing
-from taichi_sim.kernels.vectors import cross, lever
+from taichi_sim.kernels.vectors import cross, lever, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -200,9 +201,16 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     touched = False
     settled = NOTHING  # the collider on which it came to rest within this step (walls: beyond these), the normal there, and where
     floor, place = 0.0 * v, x
-    fast = False  # it may have to stop on its way at another ball (ccd_balls), so that must be straight
+    fast = False  # it may have to stop on its way at another ball, see ccd_balls
     if ti.static(walls.plan.pairs):
         fast = shift.dot(shift) > walls.model.radius[i] ** 2
+    beyond, number = 0.0 * h, 0  # m, length of the path beyond the first bend; bends
+    spin = zero_scalar_in_2d(walls.model.dim)
+    if ti.static(walls.plan.bends):
+        if ti.static(walls.model.spins):
+            spin = walls.state.spin[i]
+        if ti.static(walls.probed):
+            walls.received.note(i)
     for _ in range(MOST_IMPACTS):
         if remaining > 0.0:
             start = ti.select(touched, shift, 0.0 * shift)
@@ -215,7 +223,9 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 if other >= 0:
                     far = walls.colliders.distance_from_origin(other // walls.colliders.faces)
             meets = other != NOTHING or hit >= 0
-            waits = fast and meets and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
+            waits = False  # at the wall, where the way may lead through a surface
+            if ti.static(not walls.plan.bends):
+                waits = fast and meets and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
                 if ti.static(walls.moves):
@@ -226,6 +236,12 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
             elif meets:
                 since = h - remaining + t
                 shift = start + t * (speed + 0.5 * t * pull)
+                if ti.static(walls.plan.bends):
+                    beyond += ti.select(touched, (shift - start).norm(), 0.0 * h)
+                    number += 1
+                    if fast and number == 1:
+                        walls.path[i].rest = ti.max((remaining - t) / h, bent_paths.LEAST_REST)
+                        walls.path[i].way = shift
                 came, load = speed + t * pull, pull
                 speed = came
                 remaining -= t
@@ -262,6 +278,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 touched = True
             elif touched:
                 shift += remaining * (speed + 0.5 * remaining * pull)
+                beyond += (shift - start).norm()
                 speed += remaining * pull
                 remaining = 0.0
             else:
@@ -276,4 +293,10 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 record_thrown_back(walls, i, -kick)  # the end of the step gives what is so
             kick = thrown_back(walls, i, kick)
         drift = speed - kick  # the next solve still has to bear the load on what it rested on
+        if ti.static(walls.plan.bends):
+            if fast:
+                walls.path[i].length = ti.select(number > 1, beyond, 0.0 * h)
+                walls.path[i].change = drift - v
+                if ti.static(walls.model.spins):
+                    walls.path[i].spin_change = walls.state.spin[i] - spin
     return shift, drift

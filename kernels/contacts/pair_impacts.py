@@ -16,11 +16,10 @@ import math
 
 from taichi_sim.kernels.contacts import contact_law, wall_impacts
 from taichi_sim.kernels.contacts.kinds import BALL_ARRIVING
-from taichi_sim.kernels.contacts.pair_sweeps import torque
 from taichi_sim.kernels.contacts.pairs import law_of
 from taichi_sim.kernels.contacts.warm_start import keep_at_most
 from taichi_sim.kernels.reductions import even_then_odd
-from taichi_sim.kernels.vectors import lever, zero_scalar_in_2d
+from taichi_sim.kernels.vectors import cross, lever, unit, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -147,38 +146,42 @@ def bounces_on(solver: ti.template(), i, j, restitution):
 
 
 @ti.func
+def time_since_touch(solver: ti.template(), ball: ti.template(), i, j, u):
+    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity; at most a step."""
+    r = ball[j].x - ball[i].x
+    reach, d = solver.model.radius[i] + solver.model.radius[j], r.norm()
+    within = (reach - d) * (reach + d)
+    time = 0.0 * d
+    if within > 0.0:
+        closing = -r.dot(u)
+        time = ti.min(within / (closing + ti.sqrt(closing * closing + within * u.dot(u))), 1.0 / solver.rate[0])
+    return time
+
+
+@ti.func
+def may_shift(solver: ti.template(), ball: ti.template(), i, shift):
+    """True if nothing but balls can be where ball i comes by `shift` [m]."""
+    free = shift.dot(shift) <= solver.model.radius[i] ** 2
+    if ti.static(solver.plan.walls_in_turn):
+        free = free and wall_impacts.may_shift(solver.walls, ball, i, shift, solver.impacts[i])
+    return free
+
+
+@ti.func
 def impacts_of_ball(solver: ti.template(), ball: ti.template(), i, now, time):
     """Impacts of ball i with the balls that it lists, then with walls; whether there were any."""
     bounced = 0
     begin = solver.pairs.first[i]
-    w = solver.model.inverse_mass[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
         if solver.pairs.contact[c].depth > 0.0:
             j = solver.pairs.link[c].other
             n = solver.pairs.contact[c].normal
-            u = ball[j].v - ball[i].v
-            forced = approach_from_forces(solver, i, j, n)
-            if contact_law.closing_speed(u.dot(n), forced) > solver.threshold[0]:
-                law = law_of(solver.pairs, i, j)
-                if law.restitution > 0.0 and bounces_on(solver, i, j, law.restitution):
+            closing = contact_law.closing_speed((ball[j].v - ball[i].v).dot(n), approach_from_forces(solver, i, j, n))
+            if closing > solver.threshold[0]:
+                restitution = law_of(solver.pairs, i, j).restitution
+                if restitution > 0.0 and bounces_on(solver, i, j, restitution):
                     bounced = 1
-                    solver.impacts[i] = solver.impacts[i] + 1
-                    solver.impacts[j] = solver.impacts[j] + 1
-                    other = solver.model.inverse_mass[j]
-                    mass = 1.0 / (w + other)
-                    total = contact_law.rebound(law.restitution, u.dot(n), forced) / (w + other)
-                    slip, tangential_mass = u, mass
-                    if ti.static(solver.model.spins):
-                        slip -= solver.pairs.contact[c].arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
-                        tangential_mass *= contact_law.tangential_mass_part(solver, i, j)
-                    p = -contact_law.impact_impulse(
-                        solver.model, law, n, u, slip, mass, tangential_mass, total, solver.threshold[0], time
-                    )
-                    t = zero_scalar_in_2d(solver.model.dim)
-                    if ti.static(solver.model.spins):
-                        t = torque(solver, c, p)
-                    solver.apply(i, p, t)
-                    solver.apply(j, -p, t)
+                    impact(solver, ball, i, j, c, time)
                     disturb(solver, i, now + 1)
                     disturb(solver, j, now + 1)
     if ti.static(solver.plan.walls_in_turn):
@@ -186,6 +189,69 @@ def impacts_of_ball(solver: ti.template(), ball: ti.template(), i, now, time):
             bounced = 1
             disturb(solver, i, now + 1)
     return bounced
+
+
+@ti.func
+def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
+    """Impact of balls i and j, which contact c found up to a step late, at the moment when they touched.
+
+    Both go back to where they were then, bounce, and go on for as long: each is shifted by what its velocity changes in that
+    time. Whatever the time, that keeps momentum, the centre of mass and angular momentum, and energy where accelerations are
+    constant. Where a wall is in the way they bounce where they are.
+    """
+    reach = solver.model.radius[i] + solver.model.radius[j]
+    w, other = solver.model.inverse_mass[i], solver.model.inverse_mass[j]
+    u = ball[j].v - ball[i].v
+    since = time_since_touch(solver, ball, i, j, u)
+    done = False
+    for _ in range(2):  # at the moment of touch, or else, the second time, at once
+        if not done:
+            r = ball[j].x - ball[i].x - since * u
+            n, d = unit(r, i, j)
+            forced = approach_from_forces(solver, i, j, n)
+            at_touch = (1.0 + 2.0 * since * solver.rate[0]) * forced
+            p = impulse(solver, i, j, n, d / reach, u, at_touch, time)
+            shift_i, shift_j = (since * w) * p, (-since * other) * p
+            fits = u.dot(n) + 0.5 * at_touch < 0.5 * ti.min(0.0, u.dot(n) + forced)
+            fits = fits and may_shift(solver, ball, i, shift_i) and may_shift(solver, ball, j, shift_j)
+            if fits or since == 0.0:
+                done = True
+                t = zero_scalar_in_2d(solver.model.dim)
+                if ti.static(solver.model.spins):
+                    t = d / reach * cross(n, p)
+                solver.impacts[i] = solver.impacts[i] + 1
+                solver.impacts[j] = solver.impacts[j] + 1
+                solver.apply(i, p, t)
+                solver.apply(j, -p, t)
+                if since > 0.0:
+                    solver.state.shift(i, shift_i)
+                    solver.state.shift(j, shift_j)
+                    measure_again(solver, ball, i, j, c)
+            since = 0.0
+
+
+@ti.func
+def measure_again(solver: ti.template(), ball: ti.template(), i, j, c):
+    """Find the depth of contact c anew if an impact has shifted either ball."""
+    if solver.impacts[i] + solver.impacts[j] > 0:
+        reach = solver.model.radius[i] + solver.model.radius[j]
+        solver.pairs.contact[c].depth = reach - (ball[j].x - ball[i].x).norm()
+
+
+@ti.func
+def impulse(solver: ti.template(), i, j, n, arm, u, forced, time):
+    """Impulse [N s] on ball i by its impact on ball j along n, with friction; arm: distance of their centres, in parts of that at
+    touch; u: relative velocity, of which `forced` along -n [m/s], see approach_from_forces."""
+    law = law_of(solver.pairs, i, j)
+    mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
+    total = ti.max(0.0, contact_law.rebound(law.restitution, u.dot(n), forced) * mass)
+    slip, tangential_mass = u, mass
+    if ti.static(solver.model.spins):
+        slip -= arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
+        tangential_mass *= contact_law.tangential_mass_part(solver, i, j)
+    return -contact_law.impact_impulse(
+        solver.model, law, n, u, slip, mass, tangential_mass, total, solver.threshold[0], time
+    )
 
 
 @ti.func

@@ -31,6 +31,18 @@ def approach_from_forces(walls: ti.template(), solver: ti.template(), i, n):
 
 
 @ti.func
+def may_shift(walls: ti.template(), ball: ti.template(), i, shift, impacts):
+    """True if no wall is where ball i, after so many impacts in this step, comes by `shift` [m], at most its radius. Gaps to
+    colliders are those found before all of these."""
+    free = True
+    if ti.static(walls.has_colliders):
+        free = impacts == 0
+    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+        free = free and walls.normal(i, k).dot(shift) >= -ti.max(0.0, walls.gap(ball[i].x, i, k))
+    return free
+
+
+@ti.func
 def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, time):
     """Impacts of ball i, a crowded one, on the walls that it reaches in this step; whether there were any. It bounces where
     it is: left to the move, a ball between a wall and a heavy one would bounce there in each step, and the heavy one come

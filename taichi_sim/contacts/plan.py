@@ -24,6 +24,7 @@ class ContactPlan:
     colliders: bool
     sticks: bool  # that balls touch
     triangles: bool  # that collide
+    bends: bool  # paths that bounce off walls are followed to where they meet balls, see kernels.contacts.bent_paths
     skin: float  # of a radius, see Grid
     warm_starts: bool  # solves start from the accumulated impulses of the step before, the load of piles
     soft: bool  # pairs are damped springs, see kernels.contacts.contact_law, else rigid and pushed apart
@@ -100,6 +101,11 @@ def plan_contacts(
         "neighbours",
         pairs and (sticks or may_collide(scene)),
         "two balls that may touch, or sticks: triangles look for theirs in a tree",
+    )
+    decide(
+        "bends",
+        walls and chosen["neighbours"] and not triangles,
+        "walls, two balls that may touch, or sticks, and no triangles: a ball that bounces may have gone through one twice",
     )
     gathers = decide(
         "gathers",

@@ -21,7 +21,7 @@ class Surfaces:
     """Places of the surfaces that each ball may touch: `count` of them, the `planes`, then those in the ball's slots for
     colliders (`collider_contacts`). colliders: None if the scene has none, then nothing of this is compiled."""
 
-    def __init__(self, model: Model, fields: Fields, colliders: Colliders | None, limits_energy: bool) -> None:
+    def __init__(self, model: Model, fields: Fields, colliders: Colliders | None, takes_back: bool) -> None:
         self.model, self.colliders = model, colliders
         # of a coordinate, as a part of it
         self.rounding = 4.0 * float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
@@ -34,7 +34,7 @@ class Surfaces:
         self.count = self.planes.count + slots
         self.probed = bool(bodies_of(model.scene))
         if self.probed:
-            self.received = Received(model, fields, limits_energy)
+            self.received = Received(model, fields, takes_back)
 
     @ti.func
     def tolerance(self, x, i, far):

@@ -34,7 +34,7 @@ class Walls(Surfaces):
     def __init__(
         self, model: Model, state: State, fields: Fields, plan: ContactPlan, threshold: Any, colliders: Colliders | None
     ):
-        super().__init__(model, fields, colliders, plan.limits_energy)
+        super().__init__(model, fields, colliders, plan.limits_energy or plan.bends)
         self.state, self.plan, self.threshold = state, plan, threshold
         # impulse: along the normal [N s]; target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
         columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
@@ -48,6 +48,14 @@ class Walls(Surfaces):
         if not self.has_colliders:
             self.clearance = fields.reals(model.n)  # m, to the nearest wall: most reach none in a step
         self.touching = fields.integers(model.n)  # surfaces that a ball touches: most touch none and are passed over
+        if plan.bends:
+            vector = ti.types.vector(model.dim, fields.real)
+            # of a fast ball that bounces, see kernels.contacts.bent_paths: part of the step that is left then, else 0; way until
+            # then, and length beyond if it bounces again, else 0 [m]; what that changed of its velocity [m/s]
+            path = {"rest": fields.real, "length": fields.real, "way": vector, "change": vector}
+            if model.spins:
+                path["spin_change"] = fields.real if model.dim == 2 else vector
+            self.path = fields.table(path, model.n)
         if plan.reflects:
             # sqrt((1 + e) t / h) n of the last impact in this step, see kernels.contacts.impact
             self.reflected = fields.vectors(model.n, model.dim)

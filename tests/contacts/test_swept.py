@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from physics_support import VARIANTS, each_dim, simulate
+from physics_support import F64, VARIANTS, each_dim, error, simulate, vector
 
 import taichi_sim as ts
 
@@ -176,3 +176,95 @@ def test_a_bullet_that_bounces_off_a_collider_meets_what_lies_behind(own):
     with simulate(scene, dt=H) as sim:
         sim.step(10)
         assert np.linalg.norm(sim.velocity[target]) > 50.0
+
+
+# Between walls -----------------------------------------------------------------------------------------------------------
+
+SLOT, START, ALONG, ASIDE = 0.9, 0.31, -53.0, 3.0  # width and start [m], speeds [m/s]
+
+
+def between_walls(dim, others, spring, gap=SLOT):
+    """A bullet that goes to and fro between two walls, free or on a spring to a pin, alone or with balls that it never meets."""
+    scene = ts.Scene(dim=dim)
+    scene.add_material("m", restitution=1.0)
+    scene.add_wall(vector(dim, 1.0), 0.0, "m")
+    scene.add_wall(vector(dim, -1.0), -gap, "m")
+    ball = scene.add_balls([vector(dim, START, 0.0)], radius=R, velocity=[vector(dim, ALONG, ASIDE)], material="m")
+    if spring:
+        pin = scene.add_balls([vector(dim, 0.4, 1.5)], radius=R, pinned=True, material="m")
+        scene.add_springs([(ball[0], pin[0])], stiffness=2000.0, rest_length=1.2)
+    if others:
+        scene.add_balls([vector(dim, 0.3, -60.0), vector(dim, 0.6, -60.0)], radius=R, material="m")
+    return scene
+
+
+def place_between(t, gap=SLOT):
+    """Position of the free bullet across the slot."""
+    free = gap - 2 * R
+    there = (START - R + ALONG * t) % (2 * free)
+    return R + min(there, 2 * free - there)
+
+
+RULES = ["gauss_seidel", "jacobi", "sum"]
+
+
+@pytest.mark.parametrize(
+    ("dim", "contacts", "method"),
+    [
+        pytest.param(3, "gauss_seidel", "verlet"),
+        *[pytest.param(2, rule, "verlet", marks=pytest.mark.slow) for rule in RULES],
+        pytest.param(2, "gauss_seidel", "symplectic_euler", marks=pytest.mark.long),
+        *[pytest.param(3, rule, "rk4", marks=pytest.mark.long) for rule in RULES],
+    ],
+)
+def test_a_bullet_between_walls_loses_no_time(dim, contacts, method):
+    """It moves one or two radii a step, or further than from wall to wall, with other balls in the scene."""
+    for step, gap in ((H, SLOT), (2 * H, SLOT), (10 * H, 0.5 * SLOT)):
+        scene = between_walls(dim, True, False, gap)
+        with simulate(scene, dt=step, substeps=1, contacts=contacts, integrator=method) as sim:
+            sim.step(150)
+            expected = vector(dim, place_between(sim.time, gap), ASIDE * sim.time)
+            assert error(sim.position[0], expected, 1.0) < (1e-11 if F64 else 1e-3)
+            assert np.abs(sim.velocity[0, :2]) == pytest.approx([-ALONG, ASIDE], rel=1e-12 if F64 else 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contacts", RULES)
+@pytest.mark.long_where(contacts="sum")
+def test_a_bullet_on_a_spring_goes_as_if_alone(contacts):
+    """With balls in the scene that it never meets: the same path, bit by bit, and the energy of its start."""
+    for step in (0.5 * H, 2 * H):
+        ends = []
+        for others in (False, True):
+            with simulate(between_walls(2, others, True), dt=step, substeps=1, contacts=contacts) as sim:
+                start = sim.energy().total
+                sim.step(round(0.5 / step))
+                assert sim.energy().total == pytest.approx(start, rel=0.01)
+                ends.append(sim.position[0])
+        assert error(ends[1], ends[0], 1.0) < (1e-9 if F64 else 2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contacts", RULES[:2])
+def test_walls_take_what_crowds_of_bullets_give(contacts):
+    """Where a bullet stops at another before it comes to the wall, the wall has not been hit: momentum, its probes, spin."""
+    rng = np.random.default_rng(5)
+    scene = ts.Scene(dim=2)
+    scene.add_material("m", restitution=0.9, friction=0.3)
+    lattice = np.stack(np.meshgrid(np.arange(6), np.arange(6)), axis=-1).reshape(-1, 2)
+    scene.add_balls(0.2 + 0.32 * lattice, radius=R, velocity=rng.normal(size=(36, 2)) * 3 * R / H, material="m")
+    for k, normal in enumerate(np.eye(2)):
+        for side, n in enumerate((normal, -normal)):
+            scene.add_wall(n, -2.0 * side, "m")
+            scene.add_probe(f"w{k}{side}", "impulse", wall=2 * k + side)
+    with simulate(scene, dt=H, substeps=1, contacts=contacts) as sim:
+        start, energy = sim.momentum(), sim.energy().total
+        for _ in range(40):
+            sim.step()
+            given = sum(
+                np.array([sim.probes()[f"w{k}{side}.{axis}"] for axis in "xy"]) for k in (0, 1) for side in (0, 1)
+            )
+            assert error(sim.momentum() + given, start, 36 * 3 * R / H) < (1e-12 if F64 else 1e-5)
+            assert sim.energy().total < energy * (1 + (1e-12 if F64 else 1e-6))
+            energy = sim.energy().total
+            assert np.all(np.abs(sim.position - 1.0) < 1.0)
