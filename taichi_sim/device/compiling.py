@@ -19,19 +19,21 @@ from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 __all__ = ["Expected", "count_time", "loaded", "seconds", "watched"]
 
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
-# Seconds that kernels take to compile at first, up to their first launch, on a slow core; each machine takes its own multiple.
-# Six scenes of unlike kinds took 0.9 to 1.2 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D
-# scenes, those of 2D take a tenth.
+# Seconds that kernels take to compile at first, up to their first launch; each machine takes its own multiple. Eight scenes of
+# unlike kinds took 0.8 to 1.2 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D scenes, those of
+# 2D take a tenth; parallel pairs: what pairs take more on many threads.
 AT_FIRST = {
-    "": 4.0,
-    "pictures": 4.0,
-    "pairs": 4.0,
-    "triangles": 7.0,
-    "sticks": 3.0,
-    "colliders": 3.0,
-    "springs.damping": 2.0,
+    "": 1.0,
+    "pictures": 2.0,
+    "pairs": 2.6,
+    "parallel pairs": 1.8,
+    "triangles": 3.0,
+    "sticks": 2.0,
+    "colliders": 1.5,
+    "cells": 0.4,
+    "springs.damping": 0.8,
 }
-AT_FIRST |= dict.fromkeys(("integrator.implicit_euler", "integrator.tr_bdf2"), 4.0)
+AT_FIRST |= dict.fromkeys(("integrator.implicit_euler", "integrator.tr_bdf2"), 1.9)
 
 PACE = "pace"  # entry of the table: how many times AT_FIRST this machine takes, a mean of what it took lately
 LOADED_PART = 0.3  # of the time spent on kernels: where the compiler took less, most of them were in the cache
@@ -41,6 +43,7 @@ _spent = _in_compiler = 0.0
 _inside = False
 _hear: Callable[[], None] | None = None  # what `watched` was given
 _met: set[str] = set()  # scenes of this process: a second one like it compiles and loads nothing
+_drawn = False  # pictures of a 3D scene in this process: the next one's need no kernels of their own
 
 
 def seconds() -> float:
@@ -145,7 +148,8 @@ class Expected:
         self._key = hashlib.sha256(repr((self._names, settings, ENGINE, VERSION)).encode()).hexdigest()[:16]
         before = recall(TABLE).get(self._key)
         self._before = float(before) if isinstance(before, (int, float)) else None
-        self._since, self._again = seconds(), False
+        self._since, self._compiler_since, self._again = seconds(), _in_compiler, False
+        self._has_pictures = _drawn
 
     @classmethod
     def of(cls, simulation: Any, pictures: bool) -> "Expected":
@@ -174,21 +178,26 @@ class Expected:
 
     def _about(self) -> float:
         """Seconds that it takes at first on the machine that AT_FIRST is of."""
-        return sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names])
+        there = {"pictures"} if self._has_pictures else set()
+        parallel = ["parallel pairs"] if {"pairs", "driver.parallel"} <= set(self._names) else []
+        return sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names, *parallel] if name not in there)
 
     def spent(self) -> None:
         """Remember what the kernels took, when they are all there."""
+        global _drawn
+        _drawn = _drawn or "pictures" in self._names
+        spent = seconds() - self._since
         if not self._again:
-            self.remember(seconds() - self._since)
+            self.remember(spent, _in_compiler - self._compiler_since < LOADED_PART * spent)
 
-    def remember(self, spent: float) -> None:
-        """Record the seconds that the kernels took: at first to compile them, later to load them."""
+    def remember(self, spent: float, loaded: bool) -> None:
+        """Record the seconds that the kernels took to compile, or to load where an earlier process had compiled them."""
         known = recall(TABLE)
         known.pop(self._key, None)
-        if self._before is None and spent > 1.0:  # else another process had compiled it
+        if not loaded:
             pace = spent / self._about()
             known[PACE] = round((pace * _pace(known)) ** 0.5 if PACE in known else pace, 2)
-        known[self._key] = round(spent if self._before is not None else LOADING * spent, 1)
+        known[self._key] = round(spent if loaded else LOADING * spent, 1)
         for key in [key for key in known if key != PACE][:-MOST_REMEMBERED]:
             del known[key]
         remember(TABLE, known)

@@ -117,7 +117,9 @@ def _no_key(argument: Any) -> Any:
 
 
 def _template_key(argument: Any) -> Any:
-    return ("bool", argument) if isinstance(argument, bool) else getattr(argument, "__dict__", {}).get(KEY)
+    if isinstance(argument, (bool, int, str)):
+        return type(argument).__name__, argument
+    return getattr(argument, "__dict__", {}).get(KEY)
 
 
 def _array_key(argument: Any) -> Any:

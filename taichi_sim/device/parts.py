@@ -9,11 +9,12 @@ Private names are touched, so this holds for one version of Taichi only; in any 
 """
 
 from collections.abc import Sequence
+from itertools import groupby
 from typing import Any, NamedTuple
 
 from taichi_sim.device.engine import IS_KNOWN, program, ti
 
-__all__ = ["BOTH", "PRIME", "STEP", "Chain", "Part", "run_parts"]
+__all__ = ["BOTH", "PRIME", "STEP", "Chain", "Launches", "Part", "run_parts"]
 
 STEP, PRIME = 1, 2  # roles: what a substep does, and what makes the state that it starts from
 BOTH = STEP | PRIME
@@ -77,6 +78,27 @@ class Chain:
                 self.link(number + 1, STEP, h, time)
             else:
                 self.link(number + 1, role, h, time)
+
+
+@ti.data_oriented
+class Launches:
+    """Parts, run in turn on many threads: those in a row that have the same roles are one kernel, which serves all of them."""
+
+    def __init__(self, parts: Sequence[Part]) -> None:
+        groups = [(roles, tuple(group)) for roles, group in groupby(parts, lambda part: part.roles)]
+        self.roles = tuple(roles for roles, _ in groups)
+        self.groups = tuple(group for _, group in groups)
+
+    def run(self, role: int, number: int, h: float, time: float) -> None:
+        """All parts of a role, for substep `number` of those of h seconds from `time` on."""
+        for which, roles in enumerate(self.roles):
+            if roles & role:
+                self._launch(which, role, number, h, time)
+
+    @ti.kernel
+    def _launch(self, which: ti.template(), role: int, number: int, h: float, time: float):
+        for part in ti.static(self.groups[which]):
+            ti.static(getattr(part.owner, part.name))(role, h, time + number * h)
 
 
 def _drop(link: Any) -> None:

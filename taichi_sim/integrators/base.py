@@ -1,5 +1,6 @@
 """Base of all integrators."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.device.parts import PRIME, STEP, Part, run_parts
+from taichi_sim.device.parts import PRIME, STEP, Launches, Part, run_parts
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.scene.scene import Scene
@@ -72,6 +73,7 @@ class Integrator:
         self.kicks_first = type(self).before_move is not Integrator.before_move
         self.allocate(fields)
         self.recipe = tuple(self._recipe())
+        self.launches = Launches(self.launched_parts if self.runs_from_host else self.recipe)
 
     @property
     def runs_from_host(self) -> bool:
@@ -85,6 +87,12 @@ class Integrator:
         """The parts of a substep, and of what makes the state that it starts from; none where `substep` and `prime` are given.
         Called once the method is bound."""
         return []
+
+    @property
+    def launched_parts(self) -> Sequence[Part]:
+        """The parts that run by `launches` where `advance` runs a substep: some of it, and all that makes the state that it
+        starts from."""
+        return self.recipe
 
     def _recipe(self) -> list[Part]:
         """The parts, or, where a class derived from theirs has a substep of its own, that as a whole."""

@@ -1,11 +1,11 @@
 """Base of the implicit methods."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.device.parts import PRIME, STEP, Part, run_parts
+from taichi_sim.device.parts import PRIME, STEP, Part
 from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
@@ -71,6 +71,11 @@ class Implicit(Integrator):
         self.last_parts = tuple(self.finishing())
         return [Part(self, "_forget", PRIME), Part(self, "_solve_stages", STEP), *self.last_parts]
 
+    @property
+    def launched_parts(self) -> Sequence[Part]:
+        """The parts after the stages."""
+        return (Part(self, "_forget", PRIME), *self.last_parts)
+
     @ti.func
     def _forget(self, role: ti.template(), h, time):  # what the step before left is void
         self.fresh[0] = 1
@@ -98,7 +103,7 @@ class Implicit(Integrator):
             else:
                 self._launch_free()
             self._end(stage, h)
-        self._finish(h, time)
+        self.launches.run(STEP, 0, h, time)
 
     @ti.func
     def _free(self):
@@ -118,8 +123,4 @@ class Implicit(Integrator):
     @ti.kernel
     def _end(self, stage: int, h: float):
         self.end(stage, h)
-
-    @ti.kernel
-    def _finish(self, h: float, time: float):
         self.fresh[0] = 0
-        run_parts(self.last_parts, STEP, h, time)

@@ -1,5 +1,6 @@
 """Velocity Verlet, with spring damping at predicted velocities, or, where it is strong, together with the kick."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from numpy.typing import NDArray
@@ -9,7 +10,7 @@ from taichi_sim.analysis.methods import VERLET
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.device.parts import BOTH, PRIME, STEP, Part, run_parts
+from taichi_sim.device.parts import BOTH, PRIME, STEP, Part
 from taichi_sim.forces.driven_pins import DrivenPinSlopes
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.integrators.damped_kick import DampedKick
@@ -82,20 +83,24 @@ class Verlet(Integrator):
         return [*own, self.kick.brake] if self.network else own
 
     def parts(self) -> list[Part]:
-        """Half kick, contacts, drift, forces, half kick, contacts. With damping in stages one launch does `move_parts`."""
+        """Half kick, contacts, drift, forces, half kick, contacts. With damping in stages `launches` run `move_parts`."""
         first = last = []
         if self.network:
             first, last = [Part(self, "_first_stages", STEP)], [Part(self, "_last_stages", STEP)]
         half = [Part(self, "_end_first_half", STEP)] if self.splits else []
         drift = [Part(self, "_drift", STEP)] if self.predicts and not self.contacts.active else self.moving()
-        forces = [
-            Part(self, "_before_forces", STEP),
-            Part(self, "_sum_forces", BOTH),
-            Part(self, "_after_forces", STEP),
-        ]
+        flexed = self.predicts or self.forces.flexes
+        before = [Part(self, "_before_forces", STEP)] if flexed else []
+        forces = [*before, Part(self, "_sum_forces", BOTH), Part(self, "_after_forces", STEP)]
         remembered = [Part(self, "_note_start", PRIME)] if self.network or self.predicts or self.delayed else []
         self.move_parts = (*half, *drift, *forces)
+        self.prime_parts = tuple(remembered)
         return [*first, *self.move_parts, *last, Part(self, "_close", STEP), *remembered, Part(self, "_hold", STEP)]
+
+    @property
+    def launched_parts(self) -> Sequence[Part]:
+        """The parts between the stages of damping."""
+        return (*self.move_parts, *self.prime_parts)
 
     @ti.func
     def _note_start(self, role: ti.template(), h, time):
@@ -135,7 +140,7 @@ class Verlet(Integrator):
         self._launch_open(h)
         for j in range(1, before):
             self._launch_stage(0, j, h)
-        self._launch_move(h, time)
+        self.launches.run(STEP, 0, h, time)
         for j in range(1, after):
             self._launch_stage(1, j, h)
         self._launch_close(h)
@@ -147,10 +152,6 @@ class Verlet(Integrator):
     @ti.kernel
     def _launch_stage(self, half: ti.template(), j: int, h: float):
         self.kick.stage(half, j, h, self.pull, ti.static(self.delayed and half == 0))
-
-    @ti.kernel
-    def _launch_move(self, h: float, time: float):
-        run_parts(self.move_parts, STEP, h, time)
 
     @ti.kernel
     def _launch_close(self, h: float):

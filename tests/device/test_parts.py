@@ -11,7 +11,7 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.device import backend
 from taichi_sim.device.engine import IS_KNOWN, ti
-from taichi_sim.device.parts import BOTH, PRIME, STEP, Chain, Part, run_parts
+from taichi_sim.device.parts import BOTH, PRIME, STEP, Chain, Launches, Part
 from taichi_sim.integrators.symplectic_euler import SymplecticEuler
 from taichi_sim.integrators.verlet import Verlet
 
@@ -28,6 +28,7 @@ class Numbers:
         names = {"_add": STEP, "_double": BOTH, "_subtract": PRIME, "_multiply": BOTH}
         self.parts = tuple(Part(self, name, roles) for name, roles in names.items())
         self.chain = Chain(self.parts)
+        self.launches = Launches(self.parts)
 
     @ti.func
     def _add(self, role: ti.template(), h, time):
@@ -56,10 +57,6 @@ class Numbers:
         for k in range(steps):
             self.chain.run(role, h, 1.0 * k)
 
-    @ti.kernel
-    def parallel(self, role: ti.template(), h: float, time: float):
-        run_parts(self.parts, role, h, time)
-
 
 def _chained(last=3.0):
     """Numbers that two steps and a start make of 1, on one thread."""
@@ -74,9 +71,9 @@ def test_parts_run_in_turn_by_their_roles():
     backend.start("cpu")
     numbers = Numbers()
     numbers.x.fill(1.0)
-    for time in (0.0, 1.0):
-        numbers.parallel(STEP, 0.5, time)
-    numbers.parallel(PRIME, 0.25, 0.0)
+    for number in range(2):
+        numbers.launches.run(STEP, number, 0.5, 0.5 * number)
+    numbers.launches.run(PRIME, 0, 0.25, 0.0)
     expected = 2.0 * (6.0 * (6.0 * 1.5 + 1.5)) - 0.25
     assert np.all(numbers.x.to_numpy() == expected)
     assert np.all(_chained() == expected)
@@ -198,3 +195,17 @@ def test_a_run_whose_compilation_failed_is_right_once_it_is_mended(goes_on):
     with first if goes_on else ts.Simulation(scene, forces=[wind], dt=2e-3, driver="fused", arch="cpu") as sim:
         sim.run(0.3)
         np.testing.assert_allclose(sim.position[0], [0.5 * 0.3**2, 2 - 6 * 0.3**2], rtol=1e-5)
+
+
+def test_a_step_on_many_threads_compiles_the_search_for_contacts_once():
+    """What finds contacts and sums forces in a step also does so before the first one."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+    scene.add_balls([[0.0, 0.15], [0.05, 0.45], [1.0, 0.2]], radius=0.12)
+    scene.add_springs([(1, 2)], stiffness=40.0)
+    scene.add_wall((0, 1))
+    known = Launches._launch._primal.compiled_kernels
+    before = len(known)
+    with ts.Simulation(scene, dt=2e-3, driver="parallel", arch="cpu") as sim:
+        sim.step(4)
+        now = len(Launches._launch._primal.compiled_kernels) - before
+        assert 0 < now <= len(sim.parts.integrator.launches.groups)

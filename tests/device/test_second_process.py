@@ -1,0 +1,41 @@
+"""What one process has compiled the next one finds, whatever either did before the engine was started."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from physics_support import PRECISION
+
+from taichi_sim.device.engine import IS_KNOWN
+from tests.support.kept_scenes import SCENES
+
+pytestmark = [pytest.mark.once, pytest.mark.skipif(not IS_KNOWN, reason="Taichi's cache")]
+FEW = ("heap", "sheet", "hung")
+
+
+def kept_by(folder, *names):
+    """Kernels in a cache after a process that has run these scenes one after another, each on an engine started anew."""
+    environment = {**os.environ, "TI_OFFLINE_CACHE_FILE_PATH": str(folder), "TAICHI_SIM_PRECISION": PRECISION}
+    command = [sys.executable, "-m", "tests.support.kept_scenes", *names]
+    subprocess.run(command, check=True, env=environment, cwd=Path(__file__).parents[2])
+    return {file.name for file in folder.glob("*.tic")}
+
+
+def found_again(folder, names):
+    first = kept_by(folder, *names)
+    assert len(first) > 3 * len(names)
+    assert kept_by(folder, *reversed(names)) == first
+    assert kept_by(folder, names[1]) == first  # the first of its process
+
+
+@pytest.mark.slow
+def test_a_second_process_compiles_nothing(tmp_path):
+    found_again(tmp_path, FEW)
+
+
+@pytest.mark.long
+def test_a_second_process_compiles_nothing_of_scenes_of_all_kinds(tmp_path):
+    assert len(SCENES) >= 10
+    found_again(tmp_path, tuple(SCENES))
