@@ -19,6 +19,7 @@ DOCS = ROOT / "docs"
 PAGES = {page.relative_to(DOCS).as_posix(): page.read_text(encoding="utf-8") for page in sorted(DOCS.rglob("*.md"))}
 SHOWN_BY = {  # pages with Python, and the test that runs it
     "extending.md": "test_extending.py",
+    "files.md": "outputs/test_interchange.py",
     "python.md": "test_readme.py",
     "recipes.md": "test_recipes.py",
     "scenes.md": "test_recipes.py",
