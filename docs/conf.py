@@ -1,16 +1,14 @@
 """Settings of the site: `make docs` builds it with Sphinx from these pages, strictly, into out/docs."""
 
 import inspect
-import io
 import re
-from html import escape
 
-from matplotlib.font_manager import FontProperties
-from matplotlib.mathtext import math_to_image
+from docutils.nodes import SkipNode
 
 import taichi_sim
 from taichi_sim.common.docstrings import described
 from taichi_sim.common.version import __version__
+from taichi_sim.reports.course import formula
 
 for name in taichi_sim.__all__:  # autodoc would import them as for a type checker, which NumPy's types do not bear
     getattr(taichi_sim, name)
@@ -61,29 +59,13 @@ def docstring(app, kind, name, thing, options, lines) -> None:
     lines[:] = "\n\n".join(blocks).splitlines()
 
 
-def formula(node, display: bool) -> str:
-    """A formula as paths of an SVG, in the colour of the text around it: no script, no font and no network."""
-    source = " ".join(node.astext().split())
-    file = io.BytesIO()
-    math_to_image(f"${source}$", file, prop=FontProperties(size=12, math_fontfamily="stix"), format="svg")
-    picture = file.getvalue().decode()
-    picture = re.sub(r"^.*?(?=<svg)|<metadata>.*?</metadata>|<g id=\"patch_1\">.*?</g>", "", picture, flags=re.DOTALL)
-    name = f'role="img" aria-label="{escape(source)}" class="formula"'
-    picture = picture.replace("<svg ", f"<svg {name} ", 1)
-    return f'<div class="formula">{picture}</div>' if display else picture
-
-
 def visit_inline(self, node) -> None:
-    from docutils.nodes import SkipNode
-
-    self.body.append(formula(node, False))
+    self.body.append(formula(node.astext()))
     raise SkipNode
 
 
 def visit_block(self, node) -> None:
-    from docutils.nodes import SkipNode
-
-    self.body.append(formula(node, True))
+    self.body.append(f'<div class="formula">{formula(node.astext())}</div>')
     raise SkipNode
 
 

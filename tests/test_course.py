@@ -58,3 +58,31 @@ def test_a_chapter_is_whole(name):
         assert test in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (path, test)
     for demo in re.findall(r"`(?:taichi-sim view )?(thread/\w+)`", text):
         assert (ROOT / "demos" / f"{demo}.py").exists(), demo
+
+
+def test_the_command_writes_pages_that_load_nothing_from_elsewhere(tmp_path, monkeypatch, capsys):
+    from taichi_sim.cli.main import main
+
+    shown = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("webbrowser.open", shown.append)
+    folder = tmp_path / "course"
+    for _ in range(2):  # its own folder is written anew
+        with pytest.raises(SystemExit) as ended:
+            main(["course", "-o", str(folder)])
+        assert ended.value.code == 0
+    assert f"written      {folder / 'index.html'}" in capsys.readouterr().out
+    assert shown == [(folder / "index.html").as_uri()] * 2
+    assert {page.stem for page in folder.glob("*.html")} == {"index", *CHAPTERS}
+    for page in folder.glob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        assert "$$" not in text
+        assert "{toctree}" not in text
+        for place in re.findall(r'(?:src|href)="([^"#]+)', text):
+            assert (folder / place).is_file(), (page.name, place)
+    assert (folder / "05_springs.html").read_text(encoding="utf-8").count('class="formula"') == 2
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").touch()
+    with pytest.raises(SystemExit) as ended:
+        main(["course", "-o", str(tmp_path / "mine")])
+    assert ended.value.code == 2

@@ -1,4 +1,4 @@
-"""Pictures of the course, drawn from the programs of its chapters as they stand: python docs/course/draw.py [CHAPTER ...]."""
+"""Pictures of the course, drawn from the programs of its chapters as they stand: python docs/draw_course.py [CHAPTER ...]."""
 
 import contextlib
 import io
@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from PIL import Image
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).parent / "course"
 COLOURS = ("#d1495b", "#2e6f95", "#edae49")
 SIZE, DPI, FRAMES = (7.2, 3.2), 100, 40  # inches, pixels an inch, of a clip
 LABELS = {"explicit_euler": "explicit Euler", "symplectic_euler": "symplectic Euler", "verlet": "Verlet"}
