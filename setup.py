@@ -1,4 +1,4 @@
-"""Packages of the wheel, found: those of taichi_sim, and kernels, demos and the course, which lie beside it and are imported from it."""
+"""Packages of the wheel, found: those of taichi_sim, and what lies beside it and is imported from it: kernels, demos, course."""
 
 from setuptools import find_packages, setup
 

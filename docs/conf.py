@@ -35,6 +35,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # units stand in the text
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 80
+highlight_language = "none"
 pygments_style, pygments_dark_style = "friendly", "monokai"
 
 

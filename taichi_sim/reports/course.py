@@ -53,8 +53,8 @@ def formula(source: str) -> str:
     from matplotlib.font_manager import FontProperties
     from matplotlib.mathtext import math_to_image
 
-    source, file = " ".join(source.split()), io.BytesIO()
-    math_to_image(f"${source}$", file, prop=FontProperties(size=12, math_fontfamily="stix"), format="svg")
+    source, file = " ".join(source.split()).replace(r"\frac", r"\dfrac"), io.BytesIO()
+    math_to_image(f"${source}$", file, prop=FontProperties(size=14, math_fontfamily="stix"), format="svg")
     paths = file.getvalue().decode()
     paths = re.sub(r'^.*?(?=<svg)|<metadata>.*?</metadata>|<g id="patch_1">.*?</g>', "", paths, flags=re.DOTALL)
     return paths.replace("<svg ", f'<svg role="img" aria-label="{escape(source)}" class="formula" ', 1).strip()
