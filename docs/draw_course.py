@@ -195,6 +195,43 @@ def damping(chapter):
     curves_wrong(chapter, wrong, "stretch [m]", ylim=(-8, 8))
 
 
+def friction(chapter):
+    names = names_of(chapter)
+    times, ways = np.array(names["times"]), np.array(names["ways"])
+    curves, exact = {}, {}
+    for k, mu in enumerate((0.1, 0.2, 0.4)):
+        until = np.minimum(times, 4 / (10 * mu))
+        curves[f"mu = {mu}"], exact[f"mu = {mu}"] = ways[:, k], 4 * until - 5 * mu * until**2
+    centres = np.stack([ways, np.broadcast_to([2.0, 1.0, 0.0], ways.shape)], axis=2)
+    clip(chapter, times, curves, exact, centres, (-0.5, 8.5, -1.5, 3.5), "way [m]", (0, 11), radius=0.25)
+    wrong = {f"f h = {f / 100}": (np.arange(6) * 0.01, [4.0, *names["speeds"](f)]) for f in (50, 150, 250)}
+    curves_wrong(chapter, wrong, "speed [m/s]", ylim=(-15, 25))
+
+
+def collisions(chapter):
+    names = names_of(chapter)
+    places = {name: np.array(one) for name, one in names["places"].items()}
+    times = np.linspace(0, 1.2, 61)
+    curves = {name: one[:, 1] for name, one in places.items()}
+    after = np.maximum(times - 0.5, 0)  # the balls meet after 1 m at 2 m/s
+    exact = {name: speed * after for name, speed in zip(places, (2, 3, 1))}
+    centres = [
+        np.stack([one[:, k], np.full(len(times), -0.6 * row)], axis=1)
+        for row, one in enumerate(places.values())
+        for k in (0, 1)
+    ]
+    clip(
+        chapter,
+        times,
+        curves,
+        exact,
+        np.stack(centres, axis=1),
+        (-1.5, 2.3, -2, 0.8),
+        "place of the second ball [m]",
+        (-0.1, 3.2),
+    )
+
+
 CHAPTERS = {
     "01_motion": motion,
     "02_gravity": gravity,
@@ -202,6 +239,8 @@ CHAPTERS = {
     "04_restitution": restitution,
     "05_springs": springs,
     "06_damping": damping,
+    "07_friction": friction,
+    "08_collisions": collisions,
 }
 
 if __name__ == "__main__":
