@@ -108,9 +108,12 @@ published: env ## Measure problems with known solutions, and write docs/publishe
 bench: env ## Run the benchmark beside its reference implementations.
 	$(BIN)/taichi-sim bench
 
-# the tables of keys in docs/scenes.md, from the schema
-docs: env ## Write the tables of keys in docs/scenes.md from the schema.
+# the pages that the program writes of itself, and the site in out/docs, which needs no network; any warning fails
+docs: env ## Build the site in out/docs, after the reference from schema and commands.
 	$(BIN)/python -m tests.support.scene_keys
+	$(BIN)/python -m tests.support.command_page
+	$(BIN)/python -m sphinx -q -W -n --keep-going -d out/doctrees docs out/docs
+	@echo "out/docs/index.html"
 
 # the loops of docs/gallery.md that are not there
 gallery: env ## Make the loops of docs/gallery.md that are missing.

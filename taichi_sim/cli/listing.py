@@ -1,4 +1,4 @@
-"""schema, materials, demos: what there is."""
+"""schema, materials, demos, course: what there is."""
 
 from typing import Annotated, Any
 
@@ -61,3 +61,17 @@ def list_demos(
     width = max(map(len, known), default=0)
     for name, file in known.items():
         echo(f"{name:{width}}  {built_in(file)}".rstrip())
+
+
+@subcommand()
+def course(
+    out: Annotated[str | None, typer.Option("--out", "-o", metavar="FOLDER", help="A cache otherwise.")] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the course on simulation as HTML pages into a folder, and open them in a browser where there is a display."""
+    from taichi_sim.reports.course import show, write
+
+    page = write(out)
+    echo(f"written      {page}")
+    if not quiet:
+        show(page)

@@ -49,7 +49,7 @@ class CameraPath:
         path: in 3D, in place of these, keyframes with time, eye, target and, if all have it, fov, which the camera passes through
             without overshooting; it rests before the first and after the last.
         follow: a ball or several, whose middle the camera moves along with, smoothly; in a file also a name.
-        fit: what is shown by what is left out: "run" all of an export, "start" its first frame.
+        fit: what target, distance and the like show by default: "run" all of an export, "start" its first frame.
         centre: in 2D, middle of the picture [m]. width: in 2D, of what the picture shows [m].
     """
 

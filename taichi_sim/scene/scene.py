@@ -198,9 +198,9 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             radius: one or one per ball, > 0 [m]; mass: one or one per ball, > 0 [kg].
             velocity: one vector or one per ball [m/s].
             material: name of a material added before, or of a preset (`taichi-sim materials`).
-            pinned: a bool, a bool per ball, or integer positions within this call; or "border", "corners", "left", "right",
-                "bottom", "top", in 3D "front", "back", of the box around these balls; or a ts.Box, ts.Sphere or ts.Capsule (in a
-                file a table of its keys) for all with their centre in it; or a list of such. A pinned ball never moves.
+            pinned: a bool, a bool per ball, or integer positions within this call. Or "border", "corners", "left", "right",
+                "bottom", "top", in 3D "front", "back", of the box around these balls. Or a ts.Box, ts.Sphere or ts.Capsule (in a
+                file a table of its keys) for all with their centre in it. Or a list of such. A pinned ball never moves.
             colour: sRGB in 0..1 [1] for all of them; chosen by the renderer otherwise.
             body: balls of the same body > 0 (see new_body) do not collide with each other.
             group: name or names of the collision groups that they are in, 32 different ones in a scene at most.

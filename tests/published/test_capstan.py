@@ -1,8 +1,8 @@
 """Rope around a capstan.
 
 Two weights hang on a light rope over a fixed round bar. Without friction they move with (m1 - m2) / (m1 + m2) g (Atwood
-1784). With friction the pulls differ by the factor e^(mu pi) while the rope slides (Euler 1769, Eytelwein 1808), so
-that they move with (m1 - m2 e^(mu pi)) / (m1 + m2 e^(mu pi)) g, and stay where m1 < m2 e^(mu pi).
+1784). With friction the pulls differ by the factor e^(mu pi) while the rope slides (Euler 1769, Eytelwein 1808). So
+they move with (m1 - m2 e^(mu pi)) / (m1 + m2 e^(mu pi)) g, and stay where m1 < m2 e^(mu pi).
 """
 
 import numpy as np

@@ -1,8 +1,8 @@
 """Oscillator with dry friction.
 
 A body on a spring slides on a floor with friction mu. Each half swing is one of sqrt(k / m) about a place shifted by mu
-m g / k, so that turning points come nearer by 2 mu m g / k, until one lies within mu m g / k, where the body stays
-(Lorenz 1924; Marchewka, Abbott and Beichner, American Journal of Physics 72, 2004, 477).
+m g / k. So turning points come nearer by 2 mu m g / k, until one lies within mu m g / k, where the body stays (Lorenz
+1924; Marchewka, Abbott and Beichner, American Journal of Physics 72, 2004, 477).
 """
 
 import numpy as np

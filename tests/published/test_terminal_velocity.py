@@ -1,7 +1,7 @@
 """Plate that falls in air.
 
-A flat plate of mass m and area A that falls face down in still air of density rho has the speed v tanh(g t / v) with v
-= sqrt(2 m g / (rho A C)), C the drag coefficient (quadratic drag; Timmerman and van der Weele, American Journal of
+A flat plate of mass m and area A falls face down in still air of density rho. Its speed is v tanh(g t / v) with v =
+sqrt(2 m g / (rho A C)), C the drag coefficient (quadratic drag; Timmerman and van der Weele, American Journal of
 Physics 67, 1999, 538). The plate is a hexagon of six triangles whose masses are shared as the drag is, so that it stays
 flat.
 """

@@ -1,0 +1,1 @@
+"""The course: pages and pictures, which `taichi-sim course` opens."""
