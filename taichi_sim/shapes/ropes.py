@@ -160,8 +160,8 @@ def _hanging(a: NDArray, b: NDArray, length: float, number: int, gravity: NDArra
 def _directions(span: float, drop: float, pieces: int) -> NDArray[np.float64]:
     """Unit directions (2, pieces), sideways and down, of the pieces of a hanging chain; span, drop: of all of it, in pieces.
 
-    The slopes of its pieces fall by one weight of a ball over the sideways tension from each to the next. The first slope and this
-    difference are found by Newton's method from those of the catenary.
+    The slopes of its pieces fall by one weight of a ball over the sideways tension from each to the next. Newton's method finds
+    the first slope and this difference from those of the catenary.
     """
     from scipy.optimize import brentq, root  # slow to import, and few ropes hang
 
