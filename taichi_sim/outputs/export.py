@@ -30,10 +30,13 @@ from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, r
 from taichi_sim.outputs.companion import Companion, StepError
 from taichi_sim.outputs.frame_log import CHECKPOINT, Checkpoint
 from taichi_sim.outputs.kept_files import judged
+from taichi_sim.scene.objects import ball_in_words
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 STEP = "step and rounding"  # the source of an uncertainty
 WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
+WATCHED_TRIANGLES = 10_000  # half a second, at the end
+KEEPS_APART = "surface_collision = true keeps surfaces apart"
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 
@@ -62,11 +65,13 @@ class Summary:
     unsolved: list[float] = field(default_factory=list, repr=False)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
+    fastest: str = ""  # the ball that had it, and when
     late: tuple[float, float] = (0.0, 0.0)  # the largest share at a frame, see late_impacts, and the substep then [s]
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
     inverted: tuple[int, int] = (0, 0)  # cells at the end, and the most at a frame
+    crossings: int | None = 0  # edges in triangles at the end, where those let things through; None: not counted
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
@@ -125,6 +130,7 @@ class Summary:
             lines.append(
                 f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
                 f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
+                f"{self.fastest and f', {self.fastest}'}"
             )
             squeezes, starts_deep = (False, False) if scales is None else (scales.squeezes, scales.starts_deep)
             depth = of_depth(self.relative_penetration, squeezes, starts_deep)
@@ -143,6 +149,12 @@ class Summary:
         if self.inverted[1]:
             lines.append(
                 f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
+            )
+        if self.crossings is None:
+            lines.append(f"crossings    of surfaces not counted, there are too many triangles; {KEEPS_APART}")
+        elif self.crossings:
+            lines.append(
+                f"crossings    {self.crossings} edges of surfaces go through triangles at the end: look at it; {KEEPS_APART}"
             )
         if self.torn is not None:
             lines.append(f"torn         {self.torn[0]} of the {self.torn[1]} springs that may tear")
@@ -454,6 +466,10 @@ def export(
             summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
         if len(simulation.scene.cells):
             _count_inverted(summary, simulation.inverted())
+        if simulation.scene.dim == 3 and not simulation.scene.solid.all():
+            few = len(simulation.scene.triangles) <= WATCHED_TRIANGLES
+            summary.crossings = simulation.crossings() if few else None
+            clock.charge("simulating")
         if frame is None and last is not None:
             frame = simulation.frame()
         if frame is not None and frame.energy is not None:
@@ -532,6 +548,9 @@ def _observe(summary: Summary, frame: Frame) -> None:
         summary.most_contacts = max(summary.most_contacts, now.number)
         if now.number:
             summary.unsolved.append(now.unsolved)
+        if now.largest_speed > summary.largest_speed:
+            ball = int(np.argmax(np.linalg.norm(frame.velocity, axis=1)))
+            summary.fastest = f"{ball_in_words(frame.objects, ball)} at {frame.time:.4g} s"
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
     for name, value in frame.probes.items():
