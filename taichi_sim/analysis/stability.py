@@ -10,7 +10,7 @@ from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.analysis.spring_bounds import Network, largest_eigenvalue, present_eigenvalue
 from taichi_sim.geometry.graph import components
-from taichi_sim.scene.objects import owner
+from taichi_sim.scene.objects import pair_in_words
 from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
@@ -79,23 +79,18 @@ def stability(
     i, j = (int(b) for b in scene.pairs[spring])
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
-    what = _explicit_parts(custom)
+    what, ends = _explicit_parts(custom), pair_in_words(scene.objects, i, j)
     if h == 0.0:
-        of = f"{what} are" if rates.elastic > 0.0 else f"spring {spring} ({_ends(scene, i, j)}) is"
+        of = f"{what} are" if rates.elastic > 0.0 else f"spring {spring} ({ends}) is"
         return Stability(h, now, spring, ball, f"{of} undamped: {method} gains energy whatever the step")
     reason = (
-        f"spring {spring} ({_ends(scene, i, j)}, k = {k[spring]:.4g} N/m, c = {c[spring]:.4g} N s/m) limits {method};"
+        f"spring {spring} ({ends}, k = {k[spring]:.4g} N/m, c = {c[spring]:.4g} N s/m) limits {method};"
         f" ball {ball} (m = {scene.mass[ball]:.4g} kg) carries most of it"
     )
     if rates.elastic > 0.0:
         part = 1.0 - largest_eigenvalue(scene, k)[0] / (largest_eigenvalue(scene, k)[0] + rates.elastic)
         reason += f"; {what} make up {part:.0%} of the stiffness"
     return Stability(h, now, spring, ball, reason + limit.caution)
-
-
-def _ends(scene: Scene, i: int, j: int) -> str:
-    owners = [own.name for own in (owner(scene.objects, i), owner(scene.objects, j)) if own]
-    return f"balls {i} and {j}" + (f" of {' and '.join(dict.fromkeys(owners))}" if owners else "")
 
 
 def present_limit(

@@ -17,7 +17,9 @@ def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float
     """Sentence on the overlap of ball number `ball` and what it touches, by `part` of the smaller radius; position (n, dim)
     [m] at time [s]."""
     led = any(ball in pins.balls for pins in scene.moving_pins)
-    one = ("moving pin, " if led else "") + ball_in_words(scene.objects, ball)
+    one = ball_in_words(scene.objects, ball)
+    if led:
+        one = one.replace("ball", "moving pin", 1)
     what = _found(scene, position, time, ball, part) or "what it touches"
     return f"{one} and {what} overlap by {part:.2g} of the smaller radius"
 

@@ -13,7 +13,17 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import sealed
 
-__all__ = ["LOOSE", "Objects", "SceneObject", "ball_in_words", "balls_in_words", "mapped", "named", "owner"]
+__all__ = [
+    "LOOSE",
+    "Objects",
+    "SceneObject",
+    "ball_in_words",
+    "balls_in_words",
+    "mapped",
+    "named",
+    "owner",
+    "pair_in_words",
+]
 
 LOOSE = "balls"  # what balls of no object are called together
 
@@ -130,6 +140,12 @@ def ball_in_words(objects: Sequence[SceneObject], ball: int) -> str:
     """`ball 49 (number 9 of rope_0)`, as it counts in the object that it belongs to, or `ball 49`."""
     own = owner(objects, ball)
     return f"ball {ball}" + (f" (number {np.flatnonzero(own.balls == ball)[0]} of {own.name})" if own else "")
+
+
+def pair_in_words(objects: Sequence[SceneObject], i: int, j: int) -> str:
+    """`balls 49 and 50 of rope_0`: the ends of a spring, and the objects that they belong to."""
+    owners = {own.name: own for own in (owner(objects, i), owner(objects, j)) if own}
+    return f"balls {i} and {j}" + (f" of {' and '.join(owners)}" if owners else "")
 
 
 def balls_in_words(objects: Sequence[SceneObject], balls: Sequence[int], most: int = 3) -> str:

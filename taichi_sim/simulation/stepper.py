@@ -21,7 +21,7 @@ from taichi_sim.analysis.touching import overlap, overlap_at_start
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.elements import ELEMENTS
-from taichi_sim.scene.objects import ball_in_words
+from taichi_sim.scene.objects import ball_in_words, pair_in_words
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly, ContactCapacity
@@ -454,13 +454,22 @@ class Stepper:
                 f" of {self.h:.6g} s and leaves them stretched; take shorter steps",
             )
             return
-        if limited:
-            cure = f"; in this shape {_limiting(spring)} {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
-        else:
-            cure = f"; {self.h:.6g} s is used: take shorter steps" + (
-                ", or more contact_iterations" if self.parts.contacts.active else ""
+        grew = f"energy grew {_from_to(growth)} by t = {time:.6g} s"
+        if self.h > limit:
+            self._warn(
+                "growth",
+                f"{grew}, because the step of {self.h:.6g} s is too long: in this shape {self._limiting(spring)} {self.method} to"
+                f" {limit:.6g} s",
             )
-        self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
+            return
+        more = ", or more contact_iterations" if self.parts.contacts.active else ""
+        self._warn("growth", f"{grew}, which nothing explains; {self.h:.6g} s is used: take shorter steps{more}")
+
+    def _limiting(self, spring: int) -> str:
+        if spring < 0:
+            return "cells, bending, gas and user-defined forces limit"
+        ends = pair_in_words(self.scene.objects, *self.scene.pairs[spring].tolist())
+        return f"spring {spring} ({ends}) limits"
 
     def _works(self, growth: Growth) -> bool:
         """True if the chunk so far comes to the same energy with half of the substep. Afterwards all is as it was."""
@@ -492,7 +501,7 @@ class Stepper:
         if self.h > limit:
             self._warn(
                 "bound",
-                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape {_limiting(spring)}"
+                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape {self._limiting(spring)}"
                 f" {self.method} to {limit:.6g} s",
             )
 
@@ -628,7 +637,3 @@ def _as_is(present: Any, given: Any) -> Any:
 
 def _from_to(growth: Growth) -> str:
     return f"from {growth.before:.4g} J to {growth.after:.4g} J"
-
-
-def _limiting(spring: int) -> str:
-    return f"spring {spring} limits" if spring >= 0 else "cells, bending, gas and user-defined forces limit"

@@ -251,7 +251,8 @@ def test_all_frames_are_written_before_an_unstable_run_ends():
 
 
 def test_video_of_odd_size_and_fractional_rate(tmp_path):
-    make(tmp_path, "x.mp4", fps=29.97, duration=0.2, size=(33, 31))
+    with pytest.warns(UserWarning, match=r"x\.mp4: a video has even sides, so that of 33 x 31 px is 34 x 32 px"):
+        make(tmp_path, "x.mp4", fps=29.97, duration=0.2, size=(33, 31))
     frames = pictures(tmp_path / "x.mp4")
     assert frames[0][1].shape == (32, 34, 3)
     assert frames[5][0] == pytest.approx(5 / 29.97, abs=1e-4)
@@ -329,7 +330,8 @@ def test_summary():
     for word in (
         "11, 1 s simulated",
         "6 J at the start, 5 J at the end",
-        "contacts     5 at the end, 7 at most; 2 iterations in each of 3 substeps, 11 searches; largest speed 4 m/s",
+        "contacts     5 at the end, 7 at most; 2 iterations in each of 3 substeps, 11 searches",
+        "; largest speed 4 m/s, ball 0 at 0 s",
         "1 J of it went into friction, as expected",
         "penetration  largest 0.25 m (2.5 of a radius), mean at the end 0.004 m: wrong; take shorter steps",
         "residual     approach speed left by the contact solver: 0.001 m/s typical, 0.025 m/s worst: good",
