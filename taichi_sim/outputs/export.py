@@ -21,7 +21,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
-from taichi_sim.common.quantities import measured, measures, plain_number
+from taichi_sim.common.quantities import ROUNDED, measured, measures, plain_number
 from taichi_sim.device import compiling
 from taichi_sim.outputs import whole_run
 from taichi_sim.outputs.background_writer import Behind
@@ -203,10 +203,15 @@ class Summary:
         """Lines on what probes read, and on how well that is known."""
         found = self.step_error
         off = {} if found is None else found.probes
-        source = f" ({STEP})" if off else ""
+        width = max([12, *map(len, self.probes)])
         for name, values in self.probes.items():
-            last, least, most = measures(values, off.get(name, (None,) * 3), self.units.get(name, ""))
-            yield f"{name:12} {last} in the last frame; least {least}, peak {most} of all frames{source}"
+            unit, source = self.units.get(name, ""), f" ({STEP})" if off else ""
+            words = measures(values, off.get(name, (None,) * 3), unit)
+            if all(one.endswith(ROUNDED) for one in words):
+                words, source = measures(values, (None,) * 3, unit), f" ({ROUNDED})"
+            last, least, most = words
+            each = f"{last} in the last frame; least {least}, peak {most} of all frames"
+            yield f"{name:{width}} {f'{last} in all frames' if last == least == most else each}{source}"
         if found is None:
             if self.probes and self.error is None:
                 yield f"{'uncertainty':12} not estimated; --error (in Python error=True) adds a second run at half the step"

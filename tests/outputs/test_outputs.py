@@ -17,6 +17,8 @@ from taichi_sim.analysis.outcome import Scales
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import Output, export, open_output
+from taichi_sim.outputs.companion import StepError
+from taichi_sim.outputs.export import Summary
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once
@@ -339,6 +341,51 @@ def test_summary():
         "per simulated second",
     ):
         assert word in text
+
+
+def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
+    known = {"load.magnitude": (1e-17, 1e-17, 1e-17), "b.x": (0.0, 0.0, 0.0), "c.x": (0.01, 0.01, 0.01)}
+    off = StepError(5e-4, probes=known)
+    read = {"load.magnitude": (9.0, 8.0, 9.5), "b.x": (2.0, 2.0, 2.0), "c.x": (1.0, 0.5, 2.0)}
+    lines = Summary(probes=read, units={"load.magnitude": "N", "b.x": "m", "c.x": "m"}, step_error=off).lines()
+    for line in (
+        "load.magnitude 9.00 N in the last frame; least 8.00 N, peak 9.50 N of all frames (exact to rounding)",
+        "b.x            2.00 m in all frames (exact to rounding)",
+        "c.x            1.000 +- 0.010 m in the last frame; least 0.500 +- 0.010 m, peak 2.000 +- 0.010 m of all frames"
+        " (step and rounding)",
+    ):
+        assert line in lines
+
+
+def test_the_summary_counts_edges_that_go_through_triangles():
+    """Not of surfaces that collide, which let nothing through, and not of so many that it takes long."""
+
+    class Crossed(FakeSimulation):
+        scene = Scene(dim=3)
+        scene.add_balls(np.zeros((9, 3)), radius=0.1)
+        scene.add_triangles([[0, 1, 2], [3, 4, 5]])
+
+        def contacts(self):
+            return super().contacts()._replace(number=0)
+
+        def crossings(self):
+            return 2
+
+    class Apart(Crossed):
+        scene = Scene(dim=3)
+        scene.add_balls(np.zeros((9, 3)), radius=0.1)
+        scene.add_triangles([[0, 1, 2], [3, 4, 5]], collides=True)
+
+    class Large(Crossed):
+        scene = Scene(dim=3)
+        scene.add_balls(np.zeros((9, 3)), radius=0.1)
+        scene.add_triangles([[0, 1, 2]] * 10_001)
+
+    says = {Crossed: "2 edges of surfaces go through triangles at the end: look at it; ", Large: "too many triangles; "}
+    for kind in (Crossed, Apart, Large):
+        lines = [line for line in export(kind(), None, fps=60.0, duration=0.05).lines() if line.startswith("crossings")]
+        assert len(lines) == (kind in says)
+        assert all(says[kind] + "surface_collision = true keeps" in line for line in lines)
 
 
 def test_the_summary_says_how_much_has_torn():
