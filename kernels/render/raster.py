@@ -15,6 +15,7 @@ View = ti.types.matrix(4, 4, ti.f32)
 
 SPHERE, ROD, TRIANGLE, PLANE = 1, 2, 3, 4  # kind of a primitive: identity = kind << 28 | index
 NEAR_PLANE = 1e-3
+CUT_PLANE = 0.02  # where a triangle that reaches behind the eye ends: nearer, its corners would be too many pixels away
 EXACT_RADIUS = 3.0  # px: a sphere at least this large is intersected exactly, a smaller one is drawn as a bulging disc
 SMALLEST_RADIUS = 0.55  # px: no sphere is drawn smaller, or it would flicker between samples
 THIN = 5.0  # texels of a shadow map: what is less wide may lie between two taps
@@ -185,6 +186,31 @@ def draw_triangle(
                         put(seen, (y * width + x) * samples + s, w, identity)
 
 
+@ti.func
+def before_the_eye(a, b, c):
+    """The part beyond the cut plane of a triangle (view axes): corners a, b, c, d, and the number of triangles, abc and acd."""
+    nearer = [ti.cast(corner[2] < ti.f32(CUT_PLANE), ti.i32) for corner in (a, b, c)]
+    number = nearer[0] + nearer[1] + nearer[2]
+    odd = ti.cast(number == 1, ti.i32)  # whether the corner that lies alone on its side of the plane is the nearer one
+    p, q, r = a, b, c  # p: that corner
+    if nearer[1] == odd:
+        p, q, r = b, c, a
+    elif nearer[2] == odd:
+        p, q, r = c, a, b
+    to_q, to_r = on_cut_plane(p, q), on_cut_plane(p, r)
+    first, second, third, fourth, parts = p, to_q, to_r, to_r, 1
+    if number == 1:
+        first, second, third, parts = to_q, q, r, 2
+    elif number == 3:
+        parts = 0
+    return first, second, third, fourth, parts
+
+
+@ti.func
+def on_cut_plane(a, b):
+    return a + (b - a) * ((ti.f32(CUT_PLANE) - a[2]) / (b[2] - a[2]))
+
+
 @ti.kernel
 def draw_triangles(
     ball: ti.template(),
@@ -199,18 +225,23 @@ def draw_triangles(
     height: ti.i32,
     count: ti.i32,
 ):
-    """Triangles over balls. One that crosses the near plane is left out, and what is see-through casts no shadow."""
+    """Triangles over balls, of those that reach behind the eye what lies before it. What is see-through casts no shadow."""
     for i in range(count):
         k, opacity = corner[i], ti.f32(1.0)
         if ti.static(see_through):
             opacity = style[style_of[i]][2]
             if ti.static(seen.depth_only):
                 opacity = ti.floor(opacity)
-        a = screen(view, to_view(view, ball[k[0]].xyz))
-        b = screen(view, to_view(view, ball[k[1]].xyz))
-        c = screen(view, to_view(view, ball[k[2]].xyz))
-        if a[2] > 0 and b[2] > 0 and c[2] > 0:
-            draw_triangle(seen, samples, see_through, opacity, a, b, c, (TRIANGLE << 28) | i, width, height)
+        a, b, c = to_view(view, ball[k[0]].xyz), to_view(view, ball[k[1]].xyz), to_view(view, ball[k[2]].xyz)
+        d, parts = c, 1
+        if view[3, 3] == 0 and ti.min(a[2], b[2], c[2]) <= ti.f32(NEAR_PLANE):
+            a, b, c, d, parts = before_the_eye(a, b, c)
+        for part in range(parts):
+            if part == 1:
+                b, c = c, d
+            p, q, r = screen(view, a), screen(view, b), screen(view, c)
+            if p[2] > 0 and q[2] > 0 and r[2] > 0:
+                draw_triangle(seen, samples, see_through, opacity, p, q, r, (TRIANGLE << 28) | i, width, height)
 
 
 @ti.func

@@ -14,6 +14,7 @@ from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
 from taichi_sim.scene.collision_groups import meet
+from taichi_sim.scene.objects import ball_in_words, owner
 from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
@@ -197,13 +198,14 @@ def layers(scene: Scene, loose: NDArray[np.bool_]) -> float:
 
 
 class Sieve(NamedTuple):
-    """Something that goes between the balls of a cloth: `what` it is, `width` [m] across, the strain [1] of the cloth at which it
-    fits, 0 or less at rest, and the spacing [m] of a cloth of the same balls that would hold it."""
+    """Something that goes between the balls of a surface: `what` it is, `width` [m] across, the strain [1] of the surface at
+    which it fits, 0 or less at rest, the spacing [m] of the same balls that would hold it, and the surface's name."""
 
     what: str
     width: float
     strain: float
     spacing: float
+    surface: str = "the surface"
 
 
 def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
@@ -243,9 +245,7 @@ def sieves(scene: Scene) -> Iterator[Sieve]:
         if collider.hollow > 0.0 or not minds.any():
             continue
         half, flat = _width(collider)
-        found = _sieve(
-            f"colliders[{k}] ({collider.name})", half, (slit if flat else around)[minds], radius[minds], side[minds]
-        )
+        found = _sieve(scene, collider.in_words(k), half, slit if flat else around, radius, side, minds)
         if found is not None:
             yield found
     yield from _loose_through(scene, around, radius, side)
@@ -262,29 +262,34 @@ def _loose_through(scene: Scene, around: Floats, radius: Floats, side: Floats) -
         own = meet(scene.group, scene.mask, int(scene.group[ball]), int(scene.mask[ball]))
         minds = thin & own[scene.triangles].all(axis=1)
         if minds.any():
-            found = _sieve(f"ball {ball}", float(scene.radius[ball]), around[minds], radius[minds], side[minds])
+            one = ball_in_words(scene.objects, ball)
+            found = _sieve(scene, one, float(scene.radius[ball]), around, radius, side, minds)
             if found is not None:
                 yield found
 
 
-def _sieve(what: str, half: float, hole: Floats, radius: Floats, side: Floats) -> Sieve | None:
+def _sieve(
+    scene: Scene, what: str, half: float, hole: Floats, radius: Floats, side: Floats, minds: NDArray[np.bool_]
+) -> Sieve | None:
+    """The triangle, of those that mind, that lets something of half a width [m] through at the least strain, or None."""
     strain = (half + radius) / np.where(hole > 0.0, hole, np.inf)
-    strain = np.where(hole > 0.0, strain, np.inf) - 1.0
+    strain = np.where((hole > 0.0) & minds, strain, np.inf) - 1.0
     worst = int(np.argmin(strain))
     if strain[worst] >= SLACK:
         return None
     spacing = half * side[worst] / ((1.0 + SLACK) * hole[worst] - radius[worst])
-    return Sieve(what, 2.0 * half, float(strain[worst]), float(spacing))
+    of = owner(scene.objects, int(scene.triangles[worst, 0]))
+    return Sieve(what, 2.0 * half, float(strain[worst]), float(spacing), *([of.name] if of else []))
 
 
 def through(sieve: Sieve) -> str:
     """A sieve as a sentence."""
     how = "" if sieve.strain <= 0.0 else f" where it is stretched by {sieve.strain:.2g}"
     ball = sieve.what.startswith("ball")
-    cure = "give the cloth surface_collision = true, or take" if ball else "take"
+    cure = f"give {sieve.surface} surface_collision = true, or take" if ball else "take"
     return (
-        f"{sieve.what}, {sieve.width:.2g} m across, goes between the balls of the cloth{how}: {cure} a cloth whose balls are at"
-        f" most {sieve.spacing:.2g} m apart, or larger ones"
+        f"{sieve.what}, {sieve.width:.2g} m across, goes between the balls of {sieve.surface}{how}: {cure} balls at most"
+        f" {sieve.spacing:.2g} m apart, or larger ones"
     )
 
 
@@ -321,7 +326,7 @@ def _cloth(scene: Scene) -> Iterator[Finding]:
         if deep > 0.0:
             yield Finding(
                 "cloth",
-                f"its triangles reach up to {deep:.2g} m into colliders[{k}] ({collider.name})",
+                f"its triangles reach up to {deep:.2g} m into {collider.in_words(k)}",
                 f"take balls at most {spacing:.2g} m apart, or larger ones",
             )
 

@@ -7,6 +7,7 @@ import numpy as np
 from taichi_sim.analysis.diagnostics import collider_depth
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.collision_groups import meet
+from taichi_sim.scene.objects import ball_in_words, balls_in_words
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["check_colliders"]
@@ -54,12 +55,11 @@ def _check_each(scene: Scene, h: float) -> None:
         depth = collider_depth(scene, collider, scene.position, 0.0)
         inside = np.flatnonzero((depth > scene.radius) & meet(scene.group, scene.mask, collider.group, collider.mask))
         if len(inside):
-            more = f" and {len(inside) - 3} more" if len(inside) > 3 else ""
-            names = ", ".join(str(i) for i in inside[:3])
-            plural = "s" if len(inside) > 1 else ""
+            what = f"{collider.name} {collider.label!r}" if collider.label else collider.name
             raise SceneError(
                 f"colliders[{k}]",
-                says=f"the {collider.name} starts around ball{plural} {names}{more}, up to {depth[inside].max():.4g} m deep;"
+                says=f"the {what} starts around {balls_in_words(scene.objects, inside.tolist())}, up to"
+                f" {depth[inside].max():.4g} m deep;"
                 " move it or the balls, or pin them",
             )
         if not collider.motion.moves or not free.any():
@@ -72,7 +72,7 @@ def _check_each(scene: Scene, h: float) -> None:
         if speed * h > FASTEST * smallest:
             where = f", path[{keyframe}]" if len(collider.motion.times) > 1 else ""
             warnings.warn(
-                f"colliders[{k}] ({collider.name}){where}: moves at up to {speed:.4g} m/s, {speed * h / smallest:.3g} radii"
+                f"{collider.in_words(k)}{where}: moves at up to {speed:.4g} m/s, {speed * h / smallest:.3g} radii"
                 f" of the smallest ball in one step of {h:.4g} s: it jumps rather than pushes; take more time, or a smaller dt",
                 stacklevel=5,
             )
@@ -86,8 +86,9 @@ def _warn_of_walls(scene: Scene) -> None:
         if len(inside):
             deepest = int(np.argmax(depth))
             others = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
+            one = ball_in_words(scene.objects, deepest)
             warnings.warn(
-                f"walls[{k}]: ball {deepest}{others} start{'' if others else 's'} with the centre in the solid, up to"
+                f"walls[{k}]: {one}{others} start{'' if others else 's'} with the centre in the solid, up to"
                 f" {depth[deepest]:.4g} m deep: the wall puts them out at once, which adds what energy that takes",
                 stacklevel=6,
             )

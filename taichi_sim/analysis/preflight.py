@@ -8,6 +8,7 @@ from taichi_sim.analysis import rebounds, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2
 from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
+from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["cautions"]
@@ -47,8 +48,9 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     sinking = sinking_spring(scene, h) if method.single_pass else None
     if sinking is not None:
         step = min(h, sinking_step(scene))
+        ball = ball_in_words(scene.objects, sinking.ball)
         yield (
-            f"{method}: spring {sinking.spring} carries {sinking.load:.3g} N at ball {sinking.ball} and is left at least"
+            f"{method}: spring {sinking.spring} carries {sinking.load:.3g} N at {ball} and is left at least"
             f" {sinking.depth:.2g} m too long by the two passes of a step of {h:.3g} s, and others of its body by up to tens of"
             f" times that; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {step:.2g} s"
         )

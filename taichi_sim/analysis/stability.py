@@ -12,6 +12,7 @@ from taichi_sim.analysis.spring_bounds import Network, largest_eigenvalue, prese
 from taichi_sim.geometry.graph import components
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.gases import GASES
+from taichi_sim.scene.objects import pair_in_words
 from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
@@ -82,11 +83,12 @@ def stability(
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
     what = _explicit_parts(scene, method, custom) if any(rates) else ""
+    ends = pair_in_words(scene.objects, i, j)
     if h == 0.0:
-        of = f"{what} are" if rates.elastic > 0.0 else f"spring {spring} (balls {i} and {j}) is"
+        of = f"{what} are" if rates.elastic > 0.0 else f"spring {spring} ({ends}) is"
         return Stability(h, now, spring, ball, f"{of} undamped: {method} gains energy whatever the step")
     reason = (
-        f"spring {spring} (balls {i} and {j}, k = {k[spring]:.4g} N/m, c = {c[spring]:.4g} N s/m) limits {method};"
+        f"spring {spring} ({ends}, k = {k[spring]:.4g} N/m, c = {c[spring]:.4g} N s/m) limits {method};"
         f" ball {ball} (m = {scene.mass[ball]:.4g} kg) carries most of it"
     )
     if rates.elastic > 0.0:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["overlap", "overlap_at_start"]
@@ -16,7 +17,9 @@ def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float
     """Sentence on the overlap of ball number `ball` and what it touches, by `part` of the smaller radius; position (n, dim)
     [m] at time [s]."""
     led = any(ball in pins.balls for pins in scene.moving_pins)
-    one = f"{'moving pin' if led else 'ball'} {ball}"
+    one = ball_in_words(scene.objects, ball)
+    if led:
+        one = one.replace("ball", "moving pin", 1)
     what = _found(scene, position, time, ball, part) or "what it touches"
     return f"{one} and {what} overlap by {part:.2g} of the smaller radius"
 
@@ -47,4 +50,4 @@ def _touched(scene: Scene, position: NDArray, time: float, ball: int) -> Iterato
         deep = (r + scene.radius - np.linalg.norm(position - x, axis=1)) / np.minimum(r, scene.radius)
         deep[ball] = -np.inf
         for k in np.flatnonzero(deep > 0.0).tolist():
-            yield float(deep[k]), f"ball {k}"
+            yield float(deep[k]), ball_in_words(scene.objects, k)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-__all__ = ["EXACT", "measured", "measures", "percent", "plain_number"]
+__all__ = ["EXACT", "ROUNDED", "measured", "measures", "percent", "plain_number"]
 
 EXACT = 1e-12  # of a value: an uncertainty below that is rounding
 ROUNDED = "exact to rounding"

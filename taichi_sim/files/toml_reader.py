@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_file
-from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, unknown_key
+from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, unknown_key
 from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
@@ -135,6 +135,7 @@ class Reader:
                 why = "is a table that scene files have already" if name in known else f"{function!r} is no function"
                 raise ValueError(f"tables: {name}: {why}")
         self.groups: dict[str, NDArray[np.int32]] = {}
+        self._named_at: dict[str, str] = {}  # the tables that have these names
 
     def scene(self) -> Scene:
         self._spell()
@@ -148,7 +149,7 @@ class Reader:
                 with self._at(*place):
                     arguments = self._arguments(scene, part, table)
                     group = arguments.pop("name", None) if part.name == "balls" else None
-                    self._name(scene, group, part.add(scene, arguments))
+                    self._name(scene, place, group, part.add(scene, arguments))
             if part.name == "balls":
                 self._shapes(scene, model)
                 self._user_defined(scene)
@@ -168,7 +169,11 @@ class Reader:
                 with self._at(*place):
                     arguments = self._with_files(_given(table))
                     group = arguments.pop("name", None)
-                    self._name(scene, group, add(scene, **arguments).balls)
+                    before = len(scene.colliders)
+                    self._name(scene, place, group, add(scene, **arguments).balls)
+                    solid = range(before, len(scene.colliders))
+                    for k in solid if group else ():
+                        scene.set_collider_name(k, group if len(solid) == 1 else f"{group}_{k - before}")
 
     def _user_defined(self, scene: Scene) -> None:
         for name, function in self.tables.items():
@@ -190,7 +195,7 @@ class Reader:
                     except (TypeError, ValueError) as error:
                         raise SceneError((name, index), says=str(error)) from error
                     if isinstance(made, Shape):
-                        self._name(scene, group, made.balls)
+                        self._name(scene, (name, index), group, made.balls)
                     elif group is not None:
                         raise SceneError("table.name", says="is not allowed; what this table adds is no shape")
 
@@ -257,13 +262,15 @@ class Reader:
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 
-    def _name(self, scene: Scene, name: str | None, balls: NDArray[np.int32]) -> None:
+    def _name(self, scene: Scene, place: KeyPath, name: str | None, balls: NDArray[np.int32]) -> None:
         if name is None:
             return
         if name in self.groups:
-            raise SceneError("table.name", name, says="exists already; every group of balls needs its own name")
-        scene.set_name(balls, name)
-        self.groups[name] = balls
+            says = f"is the name of {self._named_at[name]} already; every group of balls needs its own"
+            raise SceneError("table.name", name, says=says)
+        if len(balls):
+            scene.set_name(balls, name)
+        self.groups[name], self._named_at[name] = balls, key_name(place)
 
     def _with_files(self, arguments: dict[str, Any]) -> dict[str, Any]:
         """Arguments whose files lie beside the scene's."""

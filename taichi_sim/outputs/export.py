@@ -21,7 +21,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
-from taichi_sim.common.quantities import measured, measures, plain_number
+from taichi_sim.common.quantities import ROUNDED, measured, measures, plain_number
 from taichi_sim.device import compiling
 from taichi_sim.outputs import whole_run
 from taichi_sim.outputs.background_writer import Behind
@@ -30,10 +30,13 @@ from taichi_sim.outputs.checkpoints import Checkpoints, frames_from, restored, r
 from taichi_sim.outputs.companion import Companion, StepError
 from taichi_sim.outputs.frame_log import CHECKPOINT, Checkpoint
 from taichi_sim.outputs.kept_files import judged
+from taichi_sim.scene.objects import ball_in_words
 
 SHOWN = {".mp4": "video/mp4", ".webm": "video/webm", ".gif": "image/gif", ".webp": "image/webp"}  # by browsers
 STEP = "step and rounding"  # the source of an uncertainty
 WATCHED_CELLS = 200_000  # in each frame; more are counted at the end alone
+WATCHED_TRIANGLES = 10_000  # half a second, at the end
+KEEPS_APART = "surface_collision = true keeps surfaces apart"
 MOST_SHOWN = 50_000_000  # bytes, a third more in a notebook
 
 
@@ -62,11 +65,13 @@ class Summary:
     unsolved: list[float] = field(default_factory=list, repr=False)  # m/s, see Contacts: of each frame with contacts
     scales: Scales | None = None  # what all this is judged by, at the end
     largest_speed: float = 0.0  # m/s
+    fastest: str = ""  # the ball that had it, and when
     late: tuple[float, float] = (0.0, 0.0)  # the largest share at a frame, see late_impacts, and the substep then [s]
     probes: dict[str, tuple[float, float, float]] = field(default_factory=dict)  # at the end, least, largest at a frame
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
     inverted: tuple[int, int] = (0, 0)  # cells at the end, and the most at a frame
+    crossings: int | None = 0  # edges in triangles at the end, where those let things through; None: not counted
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
@@ -125,6 +130,7 @@ class Summary:
             lines.append(
                 f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
                 f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
+                f"{self.fastest and f', {self.fastest}'}"
             )
             squeezes, starts_deep = (False, False) if scales is None else (scales.squeezes, scales.starts_deep)
             depth = of_depth(self.relative_penetration, squeezes, starts_deep)
@@ -143,6 +149,12 @@ class Summary:
         if self.inverted[1]:
             lines.append(
                 f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
+            )
+        if self.crossings is None:
+            lines.append(f"crossings    of surfaces not counted, there are too many triangles; {KEEPS_APART}")
+        elif self.crossings:
+            lines.append(
+                f"crossings    {self.crossings} edges of surfaces go through triangles at the end: look at it; {KEEPS_APART}"
             )
         if self.torn is not None:
             lines.append(f"torn         {self.torn[0]} of the {self.torn[1]} springs that may tear")
@@ -191,10 +203,15 @@ class Summary:
         """Lines on what probes read, and on how well that is known."""
         found = self.step_error
         off = {} if found is None else found.probes
-        source = f" ({STEP})" if off else ""
+        width = max([12, *map(len, self.probes)])
         for name, values in self.probes.items():
-            last, least, most = measures(values, off.get(name, (None,) * 3), self.units.get(name, ""))
-            yield f"{name:12} {last} in the last frame; least {least}, peak {most} of all frames{source}"
+            unit, source = self.units.get(name, ""), f" ({STEP})" if off else ""
+            words = measures(values, off.get(name, (None,) * 3), unit)
+            if all(one.endswith(ROUNDED) for one in words):
+                words, source = measures(values, (None,) * 3, unit), f" ({ROUNDED})"
+            last, least, most = words
+            each = f"{last} in the last frame; least {least}, peak {most} of all frames"
+            yield f"{name:{width}} {f'{last} in all frames' if last == least == most else each}{source}"
         if found is None:
             if self.probes and self.error is None:
                 yield f"{'uncertainty':12} not estimated; --error (in Python error=True) adds a second run at half the step"
@@ -454,6 +471,10 @@ def export(
             summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
         if len(simulation.scene.cells):
             _count_inverted(summary, simulation.inverted())
+        if simulation.scene.dim == 3 and not simulation.scene.solid.all():
+            few = len(simulation.scene.triangles) <= WATCHED_TRIANGLES
+            summary.crossings = simulation.crossings() if few else None
+            clock.charge("simulating")
         if frame is None and last is not None:
             frame = simulation.frame()
         if frame is not None and frame.energy is not None:
@@ -532,6 +553,9 @@ def _observe(summary: Summary, frame: Frame) -> None:
         summary.most_contacts = max(summary.most_contacts, now.number)
         if now.number:
             summary.unsolved.append(now.unsolved)
+        if now.largest_speed > summary.largest_speed:
+            ball = int(np.argmax(np.linalg.norm(frame.velocity, axis=1)))
+            summary.fastest = f"{ball_in_words(frame.objects, ball)} at {frame.time:.4g} s"
         for name in ("penetration", "relative_penetration", "residual", "largest_speed"):
             setattr(summary, name, max(getattr(summary, name), getattr(now, name)))
     for name, value in frame.probes.items():

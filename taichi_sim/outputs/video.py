@@ -1,5 +1,6 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
@@ -74,6 +75,15 @@ class Video(FileOutput):
 
     def options(self) -> Mapping[str, Any]:
         return {"codec": self.codec.encoder, "quality": self.crf}
+
+    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
+        width, height = (side + side % 2 for side in size)
+        if (width, height) != tuple(size):
+            warnings.warn(
+                f"{self.path.name}: a video has even sides, so that of {size[0]} x {size[1]} px is {width} x {height} px: one"
+                " row or column is repeated",
+                stacklevel=3,
+            )
 
     def holds(self, count: int) -> bool:
         import av

@@ -29,6 +29,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 SAMPLED_BALLS = 20_000  # balls looked at: enough for a frame, quick for millions
 FIT_MARGIN = 1.10
+LARGE = 4.0  # times as large as the balls' box is a collider of which only the part beside them needs to be shown
+BESIDE = 0.25  # of the size of the balls' box
 AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view
 
 
@@ -136,12 +138,22 @@ def robust_bounds(position: Floats, radius: Floats) -> tuple[Bounds, NDArray[np.
 
 
 def near_boxes(frame: Frame, bounds: Bounds, least: float = 0.0) -> Floats:
-    """Corners (k, dim) of the boxes about colliders near the balls, cut off where they reach far beyond them. least [m]: what
-    is no further from them is near in any case."""
-    reach = max(0.75 * bounds.size, least)
-    low, high = bounds.low - reach, bounds.high + reach
-    corners = [np.clip(corner, low, high) for p in frame.colliders for corner in p.box if _meet(p.box, low, high)]
-    return np.array(corners).reshape(-1, frame.dim)
+    """Corners (k, dim) of the boxes about colliders near the balls: of a much larger one, such as a floor, those of the part
+    beside the balls. least [m]: what is no further from them is near in any case."""
+    reach, beside = max(0.75 * bounds.size, least), max(BESIDE * bounds.size, least)
+    low, high = bounds.low - beside, bounds.high + beside
+    corners = [np.zeros((0, frame.dim))]
+    for box in (p.box for p in frame.colliders):
+        if _meet(box, bounds.low - reach, bounds.high + reach):
+            if np.linalg.norm(box[1] - box[0]) > LARGE * bounds.size:
+                box = np.maximum(box[0], np.minimum(low, box[1])), np.minimum(box[1], np.maximum(high, box[0]))
+            corners.append(_corners(*box))
+    return np.concatenate(corners)
+
+
+def _corners(low: Floats, high: Floats) -> Floats:
+    """Corners (2^dim, dim) of a box."""
+    return np.stack(np.meshgrid(*zip(low, high), indexing="ij"), axis=-1).reshape(-1, len(low))
 
 
 def _meet(box: tuple[Floats, Floats], low: Floats, high: Floats) -> bool:
@@ -203,7 +215,4 @@ def _content(frame: Frame) -> tuple[Floats, Floats]:
             sizes = np.concatenate([sizes, np.zeros(len(height))])
     sizes = np.maximum(sizes, 0.02 * bounds.size)
     corners = near_boxes(frame, bounds)
-    if len(corners):
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        corners = np.array([[(low, high)[k >> a & 1][a] for a in range(3)] for k in range(8)])
     return np.concatenate([points, corners]), np.concatenate([sizes, np.zeros(len(corners))])

@@ -56,11 +56,14 @@ class Styles(NamedTuple):
             rows += [(look.gloss, light, look.opacity, *pattern, look.repeat or 1.0) for light in (0.0, SHEET_LIGHT)]
         n, named = len(frame.position), {one.of: k + 1 for k, one in enumerate(looks)}
         number, place = np.zeros(n, dtype=np.int64), np.zeros((n, 3))
+        first = binding.weights.indices[binding.weights.indptr[:-1]]
         for thing in frame.objects:
             if thing.name in named and len(thing.balls):
                 number[thing.balls] = named[thing.name]
-                place[thing.balls] = _flat(thing, frame.triangles, n) if thing.is_sheet else _within(rest[thing.balls])
-        first = binding.weights.indices[binding.weights.indptr[:-1]]
+                bound = binding.apply(rest)[np.isin(first, thing.balls)]  # may reach beyond the balls
+                place[thing.balls] = (
+                    _flat(thing, frame.triangles, n) if thing.is_sheet else _within(rest[thing.balls], bound)
+                )
         number = np.concatenate([number, number[first]])
         bodies_number = np.array([named.get(p.collider.label, 0) for p in frame.colliders], dtype=np.int64)
         of_bodies = (
@@ -72,7 +75,7 @@ class Styles(NamedTuple):
             own = np.zeros_like(bodies.vertices)
             for k in range(len(frame.colliders)):
                 mine = bodies.owner == k
-                own[mine] = _within(bodies.vertices[mine])
+                own[mine] = _within(bodies.vertices[mine], np.zeros((0, 3)))
             surfaces = np.concatenate([place, binding.apply(place)])[triangles]
             on_image = np.array([row[3] == TEXTURE for row in rows])[of_triangle[: len(triangles)]]
             mapped = on_image & np.isfinite(uv).all(axis=(1, 2))
@@ -96,9 +99,10 @@ class Styles(NamedTuple):
         return bool(np.any(self.rows[:, 2] < 1))
 
 
-def _within(x: NDArray) -> NDArray[np.float64]:
-    """Places (v, 3) in the box about points, whose longest side is 1."""
-    low, size = x.min(axis=0), np.ptp(x, axis=0).max()
+def _within(x: NDArray, bound: NDArray) -> NDArray[np.float64]:
+    """Places (v, 3) in the box about points (v, 3) and those bound to them (k, 3), whose longest side is 1."""
+    points = np.concatenate([x, bound])
+    low, size = points.min(axis=0), np.ptp(points, axis=0).max()
     return 0.5 * (1 - WITHIN) + WITHIN * (x - low) / max(size, 1e-300)
 
 

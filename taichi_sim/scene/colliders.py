@@ -74,6 +74,10 @@ class Collider:
     shape: ColliderShape | None = None  # of a CUSTOM one
     label: str = ""  # the name that it was given
 
+    def in_words(self, number: int) -> str:
+        """`colliders[2] (bowl)`: its number in the scene, and the name that it was given, or what it is."""
+        return f"colliders[{number}] ({self.label or self.name})"
+
     @property
     def is_meshed(self) -> bool:
         """True if its surface is known as triangles."""

@@ -13,7 +13,17 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import sealed
 
-__all__ = ["LOOSE", "Objects", "SceneObject", "mapped", "named"]
+__all__ = [
+    "LOOSE",
+    "Objects",
+    "SceneObject",
+    "ball_in_words",
+    "balls_in_words",
+    "mapped",
+    "named",
+    "owner",
+    "pair_in_words",
+]
 
 LOOSE = "balls"  # what balls of no object are called together
 
@@ -119,6 +129,33 @@ class Objects:
             count += 1
         self._counts[kind] = count
         return name
+
+
+def owner(objects: Sequence[SceneObject], ball: int) -> SceneObject | None:
+    """The object of a ball, the last one where several have it."""
+    return next((one for one in reversed(objects) if ball in one.balls), None)
+
+
+def ball_in_words(objects: Sequence[SceneObject], ball: int) -> str:
+    """`ball 49 (number 9 of rope_0)`, as it counts in the object that it belongs to, or `ball 49`."""
+    own = owner(objects, ball)
+    return f"ball {ball}" + (f" (number {np.flatnonzero(own.balls == ball)[0]} of {own.name})" if own else "")
+
+
+def pair_in_words(objects: Sequence[SceneObject], i: int, j: int) -> str:
+    """`balls 49 and 50 of rope_0`: the ends of a spring, and the objects that they belong to."""
+    owners = {own.name: own for own in (owner(objects, i), owner(objects, j)) if own}
+    return f"balls {i} and {j}" + (f" of {' and '.join(owners)}" if owners else "")
+
+
+def balls_in_words(objects: Sequence[SceneObject], balls: Sequence[int], most: int = 3) -> str:
+    """`balls 49, 50, 51 and 4 more (of rope_0)`: the first of one or more balls, and the objects that they belong to."""
+    if len(balls) == 1:
+        return ball_in_words(objects, balls[0])
+    shown = ", ".join(str(ball) for ball in balls[:most])
+    more = f" and {len(balls) - most} more" if len(balls) > most else ""
+    owners = {own.name: own for own in (owner(objects, ball) for ball in balls[:most]) if own}
+    return f"balls {shown}{more}" + (f" (of {', '.join(owners)})" if owners else "")
 
 
 def named(n: int, objects: Sequence[SceneObject]) -> tuple[NDArray[np.int32], list[str]]:

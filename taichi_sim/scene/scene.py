@@ -342,13 +342,23 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         """
         where = f"colliders[{len(self.colliders)}]"
         collider = build(shape, self.dim, where, 0)
-        if collider.label and any(one.label == collider.label for one in self.colliders):
-            raise SceneError(f"{where}.name", collider.label, says="exists already; every collider needs its own name")
+        self._require_new_label(where, collider.label)
         group, mask = self._groups(where, shape.group, shape.collides_with)
         material = self._material(f"{where}.material", shape.material)
         motion = sealed(collider.motion)
         self.colliders.append(sealed(replace(collider, group=group, mask=mask, material=material, motion=motion)))
         return len(self.colliders) - 1
+
+    def set_collider_name(self, number: int, name: str) -> None:
+        """Call a collider by a name, as the argument `name` of its shape does: colliders of letters for instance."""
+        where = f"colliders[{number}]"
+        self._require_new_label(where, name)
+        one = self.colliders[number]
+        self.colliders[number] = sealed(replace(one, label=name, given={**one.given, "name": name}))
+
+    def _require_new_label(self, where: str, label: str) -> None:
+        if label and any(one.label == label for one in self.colliders):
+            raise SceneError(f"{where}.name", label, says="exists already; every collider needs its own name")
 
     def add_triangles(self, triangles: ArrayLike, collides: bool | Sequence[bool] | NDArray = False) -> None:
         """Add triangles: what the renderer draws as a surface.

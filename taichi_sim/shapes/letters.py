@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -237,7 +238,9 @@ def _collider(
     """A solid prism in 3D; in 2D its outline as sticks between balls that stay."""
     if scene.dim == 3:
         vertices, cells = polygon_mesh.extruded(points, triangles, depth, 1)
-        scene.add_collider(Mesh(mesh=(vertices, jelly_material.surface_of(cells)), **looks, **placed))
+        labels = {one.label for one in scene.colliders}
+        name = next(name for k in itertools.count() if (name := f"{shape}_{k}") not in labels)
+        scene.add_collider(Mesh(mesh=(vertices, jelly_material.surface_of(cells)), name=name, **looks, **placed))
         return Shape(np.zeros(0, dtype=np.int32))
     edges = polygon_mesh.outer_edges(triangles)
     used, ends = np.unique(edges, return_inverse=True)

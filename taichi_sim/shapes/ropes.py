@@ -42,6 +42,7 @@ def rope(
     end: Sequence[float],
     n: int = 32,
     *,
+    length: float | None = None,
     mass: float | None = None,
     mass_per_length: float | None = None,
     EA: float | None = None,
@@ -66,6 +67,8 @@ def rope(
 
     Args:
         start, end: (dim,) of its first and its last ball [m]; n: how many balls, at least 2.
+        length: unstretched [m]; the distance from start to end by default. A longer rope hangs between them as a catenary along
+            the gravity of the scene, or along -y without gravity. A shorter one is straight and under tension.
         mass: of all of it [kg]; mass_per_length: in place of mass [kg/m]; that of a rod of the preset, else 0.1.
         EA: stretch stiffness, force per strain [N]; that of a rod of the preset, else 1000 times the weight of the rope, at
             10 m/s^2.
@@ -82,15 +85,19 @@ def rope(
     b = validation.vectors("rope.end", end, 1, scene.dim)[0]
     number = validation.whole("rope.n", n, 2)
     affordable("rope.n", n, number, number, bends=number)
-    length = float(np.linalg.norm(b - a))
-    if length == 0:
+    distance = float(np.linalg.norm(b - a))
+    if distance == 0:
         raise SceneError("rope.end", b, "another point than start")
+    length = or_default("rope.length", length, distance)
     chain = {"stiffness": stiffness, "bending_stiffness": bending_stiffness}
     elastic = {"EA": EA, "EI": EI, "young_modulus": young_modulus}
     exclusive("rope", elastic | {"mass_per_length": mass_per_length}, chain)
     exclusive("rope", {"mass_per_length": mass_per_length}, {"mass": mass})
     exclusive("rope", {"young_modulus": young_modulus}, {"EA": EA, "EI": EI})
-    points = a + np.linspace(0.0, 1.0, number)[:, None] * (b - a)
+    if length > distance:
+        points = _hanging(a, b, length, number, scene.gravity)
+    else:
+        points = a + np.linspace(0.0, 1.0, number)[:, None] * (b - a)
     of_material = all(value is None for value in chain.values())
     solid = scene.preset(material) if of_material and radius is not None else None
     per_length = ROPE_DENSITY
@@ -127,7 +134,56 @@ def rope(
     )
     bends = bends_along(np.arange(number), bend) if bend > 0 else None
     kinds = [Springs(pairs, 1.0)]
-    return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, drag, bends=bends)
+    tight = np.full(number - 1, distance / length - 1) if length < distance else None
+    return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, drag, stretched=tight, bends=bends)
+
+
+def _hanging(a: NDArray, b: NDArray, length: float, number: int, gravity: NDArray) -> NDArray[np.float64]:
+    """Points (number, dim) [m] of a chain at rest between a and b, of equal masses and inextensible pieces. Raises SceneError."""
+    piece = length / (number - 1)
+    down = -np.eye(len(a))[1] if not gravity.any() else gravity / np.linalg.norm(gravity)
+    drop = float((b - a) @ down)
+    side = b - a - drop * down
+    span = float(np.linalg.norm(side))
+    if number == 2 or span < piece:
+        raise SceneError(
+            "rope.length",
+            length,
+            says=f"makes a fold narrower than a piece of {piece:.3g} m, where start and end are {span:.3g} m apart sideways; give"
+            " more balls (n), or ends that are further apart sideways",
+        )
+    sideways, downward = _directions(span / piece, drop / piece, number - 1)
+    steps = piece * (sideways[:, None] * side / span + downward[:, None] * down)
+    return np.concatenate([a[None], a + np.cumsum(steps[:-1], axis=0), b[None]])
+
+
+def _directions(span: float, drop: float, pieces: int) -> NDArray[np.float64]:
+    """Unit directions (2, pieces), sideways and down, of the pieces of a hanging chain; span, drop: of all of it, in pieces.
+
+    The slopes of its pieces fall by one weight of a ball over the sideways tension from each to the next. Newton's method finds
+    the first slope and this difference from those of the catenary.
+    """
+    from scipy.optimize import brentq, root  # slow to import, and few ropes hang
+
+    stretch = max(1.0, float(np.sqrt(pieces**2 - drop**2)) / span)
+    half = brentq(lambda x: np.sinh(x) / x - stretch, 1e-9, 700.0, xtol=1e-14)
+    bend = 2 * half / span
+    unknown = np.array([np.sinh(np.arctanh(drop / pieces) + half) - bend / 2, bend])
+    k = np.arange(pieces)
+
+    def directions(unknown: NDArray) -> NDArray[np.float64]:
+        slope = unknown[0] - k * unknown[1]
+        return np.stack([np.ones(pieces), slope]) / np.hypot(1.0, slope)
+
+    def off(unknown: NDArray) -> NDArray[np.float64]:
+        return directions(unknown).sum(axis=1) - (span, drop)
+
+    def change(unknown: NDArray) -> NDArray[np.float64]:
+        sideways, down = directions(unknown)
+        by_slope = np.stack([-down * sideways**2, sideways**3])
+        return np.stack([by_slope.sum(axis=1), -by_slope @ k], axis=1)
+
+    return directions(root(off, unknown, jac=change, tol=1e-14).x)
 
 
 def _moduli(elastic: dict[str, float | None], radius: float | None, usual: tuple[float, float]) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from taichi_sim.analysis.touching import overlap, overlap_at_start
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.objects import ball_in_words, pair_in_words
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly, ContactCapacity
@@ -151,7 +152,8 @@ class Stepper:
         if sample.bad is not None:
             state = self.parts.state
             x, v = state.position[sample.bad].tolist(), state.velocity[sample.bad].tolist()
-            says = f"ball {sample.bad} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
+            ball = ball_in_words(self.scene.objects, sample.bad)
+            says = f"{ball} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.begin(sample)
         self.largest_motion, self._fastest = sample.motion, sample.speed
@@ -399,8 +401,9 @@ class Stepper:
         safe = self.safe.dt_any_shape
         hint = f"; the largest safe step is {safe:.6g} s, this run used {self.h:.6g} s" if np.isfinite(safe) else ""
         joined = f" at spring {spring}" if spring is not None else ""
+        what = ball_in_words(scene.objects, ball) + joined
         raise UnstableError(
-            f"ball {ball}{joined} is not finite or left the world at t = {time:.6g} s{hint}; the last good state,"
+            f"{what} is not finite or left the world at t = {time:.6g} s{hint}; the last good state,"
             f" t = {self.time:.6g} s, is kept",
             time,
             ball,
@@ -413,9 +416,10 @@ class Stepper:
         ball = int(np.argmax(np.sum(self.parts.state.velocity**2, axis=1)))
         end = self.begin + step * self.dt
         safe = self.safe.dt_any_shape
+        fastest = ball_in_words(self.scene.objects, ball)
         raise UnstableError(
             f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.dt / self._most:.6g} s, and"
-            f" nothing explains it; ball {ball} is the fastest; the last good state, t = {self.time:.6g} s, is kept",
+            f" nothing explains it; {fastest} is the fastest; the last good state, t = {self.time:.6g} s, is kept",
             end,
             ball,
             None,
@@ -450,13 +454,22 @@ class Stepper:
                 f" of {self.h:.6g} s and leaves them stretched; take shorter steps",
             )
             return
-        if limited:
-            cure = f"; in this shape {_limiting(spring)} {self.method} to {limit:.6g} s, {self.h:.6g} s is used"
-        else:
-            cure = f"; {self.h:.6g} s is used: take shorter steps" + (
-                ", or more contact_iterations" if self.parts.contacts.active else ""
+        grew = f"energy grew {_from_to(growth)} by t = {time:.6g} s"
+        if self.h > limit:
+            self._warn(
+                "growth",
+                f"{grew}, because the step of {self.h:.6g} s is too long: in this shape {self._limiting(spring)} {self.method} to"
+                f" {limit:.6g} s",
             )
-        self._warn("growth", f"energy grew {_from_to(growth)} by t = {time:.6g} s, which nothing explains{cure}")
+            return
+        more = ", or more contact_iterations" if self.parts.contacts.active else ""
+        self._warn("growth", f"{grew}, which nothing explains; {self.h:.6g} s is used: take shorter steps{more}")
+
+    def _limiting(self, spring: int) -> str:
+        if spring < 0:
+            return "cells, bending, gas and user-defined forces limit"
+        ends = pair_in_words(self.scene.objects, *self.scene.pairs[spring].tolist())
+        return f"spring {spring} ({ends}) limits"
 
     def _works(self, growth: Growth) -> bool:
         """True if the chunk so far comes to the same energy with half of the substep. Afterwards all is as it was."""
@@ -488,7 +501,7 @@ class Stepper:
         if self.h > limit:
             self._warn(
                 "bound",
-                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape {_limiting(spring)}"
+                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape {self._limiting(spring)}"
                 f" {self.method} to {limit:.6g} s",
             )
 
@@ -624,7 +637,3 @@ def _as_is(present: Any, given: Any) -> Any:
 
 def _from_to(growth: Growth) -> str:
     return f"from {growth.before:.4g} J to {growth.after:.4g} J"
-
-
-def _limiting(spring: int) -> str:
-    return f"spring {spring} limits" if spring >= 0 else "cells, bending, gas and user-defined forces limit"

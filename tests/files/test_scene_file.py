@@ -260,7 +260,7 @@ BAD = [
         "[[springs]]",
         "[[balls]]\nname = 'pair'\nposition = [[0, 0]]\nradius = 1\n[[springs]]",
         21,
-        "name: 'pair' exists",
+        "name: 'pair' is the name of balls[0] already",
     ),
     (
         'balls = "pair"',
@@ -309,6 +309,17 @@ def test_bad(tmp_path, old, new, line, message):
 
 
 EMPTY = ["format = 1", "format = 1\ndim = 3\n[output]\nfps = 1\n", "format = 1\n[[walls]]\nnormal = [0, 1]\n"]
+
+
+def test_a_name_given_twice_is_refused_with_both_tables(tmp_path):
+    """Tables are read in a fixed order, whatever that of the file, so that the first in the file may be the second read."""
+    rope = '[[rope]]\nname = "pair"\nstart = [0, 0]\nend = [1, 0]\n'
+    head, rest = GOOD.split("[[materials]]")
+    for text, line in ((GOOD + rope, 30), (f"{head}{rope}[[materials]]{rest}", 8)):
+        (tmp_path / "twice.toml").write_text(text)
+        says = rf"twice\.toml, line {line}: rope\[0\]\.name: 'pair' is the name of balls\[0\] already"
+        with pytest.raises(SceneError, match=says):
+            load_scene(tmp_path / "twice.toml")
 
 
 @pytest.mark.parametrize("text", EMPTY)

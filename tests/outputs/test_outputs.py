@@ -17,6 +17,8 @@ from taichi_sim.analysis.outcome import Scales
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import Output, export, open_output
+from taichi_sim.outputs.companion import StepError
+from taichi_sim.outputs.export import Summary
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once
@@ -251,7 +253,8 @@ def test_all_frames_are_written_before_an_unstable_run_ends():
 
 
 def test_video_of_odd_size_and_fractional_rate(tmp_path):
-    make(tmp_path, "x.mp4", fps=29.97, duration=0.2, size=(33, 31))
+    with pytest.warns(UserWarning, match=r"x\.mp4: a video has even sides, so that of 33 x 31 px is 34 x 32 px"):
+        make(tmp_path, "x.mp4", fps=29.97, duration=0.2, size=(33, 31))
     frames = pictures(tmp_path / "x.mp4")
     assert frames[0][1].shape == (32, 34, 3)
     assert frames[5][0] == pytest.approx(5 / 29.97, abs=1e-4)
@@ -329,7 +332,8 @@ def test_summary():
     for word in (
         "11, 1 s simulated",
         "6 J at the start, 5 J at the end",
-        "contacts     5 at the end, 7 at most; 2 iterations in each of 3 substeps, 11 searches; largest speed 4 m/s",
+        "contacts     5 at the end, 7 at most; 2 iterations in each of 3 substeps, 11 searches",
+        "; largest speed 4 m/s, ball 0 at 0 s",
         "1 J of it went into friction, as expected",
         "penetration  largest 0.25 m (2.5 of a radius), mean at the end 0.004 m: wrong; take shorter steps",
         "residual     approach speed left by the contact solver: 0.001 m/s typical, 0.025 m/s worst: good",
@@ -337,6 +341,51 @@ def test_summary():
         "per simulated second",
     ):
         assert word in text
+
+
+def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
+    known = {"load.magnitude": (1e-17, 1e-17, 1e-17), "b.x": (0.0, 0.0, 0.0), "c.x": (0.01, 0.01, 0.01)}
+    off = StepError(5e-4, probes=known)
+    read = {"load.magnitude": (9.0, 8.0, 9.5), "b.x": (2.0, 2.0, 2.0), "c.x": (1.0, 0.5, 2.0)}
+    lines = Summary(probes=read, units={"load.magnitude": "N", "b.x": "m", "c.x": "m"}, step_error=off).lines()
+    for line in (
+        "load.magnitude 9.00 N in the last frame; least 8.00 N, peak 9.50 N of all frames (exact to rounding)",
+        "b.x            2.00 m in all frames (exact to rounding)",
+        "c.x            1.000 +- 0.010 m in the last frame; least 0.500 +- 0.010 m, peak 2.000 +- 0.010 m of all frames"
+        " (step and rounding)",
+    ):
+        assert line in lines
+
+
+def test_the_summary_counts_edges_that_go_through_triangles():
+    """Not of surfaces that collide, which let nothing through, and not of so many that it takes long."""
+
+    class Crossed(FakeSimulation):
+        scene = Scene(dim=3)
+        scene.add_balls(np.zeros((9, 3)), radius=0.1)
+        scene.add_triangles([[0, 1, 2], [3, 4, 5]])
+
+        def contacts(self):
+            return super().contacts()._replace(number=0)
+
+        def crossings(self):
+            return 2
+
+    class Apart(Crossed):
+        scene = Scene(dim=3)
+        scene.add_balls(np.zeros((9, 3)), radius=0.1)
+        scene.add_triangles([[0, 1, 2], [3, 4, 5]], collides=True)
+
+    class Large(Crossed):
+        scene = Scene(dim=3)
+        scene.add_balls(np.zeros((9, 3)), radius=0.1)
+        scene.add_triangles([[0, 1, 2]] * 10_001)
+
+    says = {Crossed: "2 edges of surfaces go through triangles at the end: look at it; ", Large: "too many triangles; "}
+    for kind in (Crossed, Apart, Large):
+        lines = [line for line in export(kind(), None, fps=60.0, duration=0.05).lines() if line.startswith("crossings")]
+        assert len(lines) == (kind in says)
+        assert all(says[kind] + "surface_collision = true keeps" in line for line in lines)
 
 
 def test_the_summary_says_how_much_has_torn():

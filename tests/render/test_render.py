@@ -138,6 +138,46 @@ def test_the_camera_finds_the_scene_and_ignores_one_ball_far_away():
     assert screen.max() > 0.8
 
 
+def with_colliders(position, radius, *shapes):
+    scene = Scene(dim=3)
+    for shape in shapes:
+        scene.add_collider(shape)
+    placed = tuple(Placed(one, one.motion.at(0.0)[0][0], one.motion.at(0.0)[1][0]) for one in scene.colliders)
+    return balls(position, radius, colliders=placed)
+
+
+def test_a_surface_that_reaches_behind_the_eye_is_drawn_up_to_the_picture_edge():
+    """Floors whose triangles have one and two corners behind the eye, at three turns: all below the horizon is theirs."""
+    for turn in (0.0, 30.0, 77.0):
+        floor = Box(center=(0.0, -0.5, 0.0), size=(60.0, 1.0, 60.0), rotation=(0.0, turn, 0.0), colour=RED)
+        camera = Camera(eye=(0.0, 1.0, 3.0), target=(0.0, 0.5, 0.0), fov=50.0)
+        rgb = picture(with_colliders([(0.0, 30.0, 0.0)], 0.1, floor), camera=camera)
+        below = [[reddish(pixel) for pixel in row] for row in rgb[SIZE[1] // 2 :]]
+        assert np.all(below), turn
+
+
+def test_the_camera_shows_all_of_a_collider_near_the_balls_and_of_a_large_one_the_part_beside_them():
+    cube = np.stack(np.meshgrid([-0.2, 0.2], [0.4, 0.8], [-0.2, 0.2]), axis=-1).reshape(-1, 3)
+
+    def fit(size):
+        return Camera.fit(with_colliders(cube, 0.1, Box((0.0, -0.05, 0.0), (size, 0.1, size))), aspect=16 / 9)
+
+    def seen(camera, points):
+        local = (points - camera.eye) @ camera.axes().T
+        tall = math.tan(math.radians(camera.fov) / 2)
+        return np.all(np.abs(local[:, :2] / local[:, 2:]) < (tall * 16 / 9, tall))
+
+    for size in (0.3, 1.0, 2.0):
+        camera = fit(size)
+        corners = np.stack(np.meshgrid([-1, 1], [-1, 0], [-1, 1]), axis=-1).reshape(-1, 3) * (size / 2, 0.1, size / 2)
+        assert seen(camera, corners)
+        assert seen(camera, cube)
+    near, far = fit(8.0), fit(800.0)
+    assert near.eye == pytest.approx(far.eye)
+    assert seen(far, cube)
+    assert np.linalg.norm(np.subtract(far.eye, far.target)) < np.linalg.norm(np.subtract(camera.eye, camera.target))
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.slow_where(dim=3)
 def test_odd_frames_are_drawn(dim):

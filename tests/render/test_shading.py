@@ -264,6 +264,30 @@ def test_no_border_of_a_texture_shows_its_opposite_one(tmp_path, repeat):
         assert lower[2] > lower[0]
 
 
+def test_a_texture_covers_all_of_a_surface_that_reaches_beyond_its_balls(tmp_path):
+    """A square of 1.6 m in front of a cube of balls of 1 m, as the mesh of a jelly may be: no border shows the opposite one."""
+    image = np.zeros((60, 60, 3), dtype=np.uint8)
+    image[:30, :, 0] = image[30:, :, 2] = 255
+    Image.fromarray(image).save(tmp_path / "two.png")
+    scene = Scene(dim=3)
+    cube = shapes.jelly(scene, size=(1, 1, 1), resolution=(2, 2, 2), position=(-0.5, -0.5, -0.5))
+    scene.set_name(cube.balls, "flag")
+    balls = scene.position[cube.balls]
+    square = 0.8 * np.array([[-1, -1, 0.6], [1, -1, 0.6], [1, 1, 0.6], [-1, 1, 0.6]])
+    weights = np.prod(0.5 + 2 * square[:, None] * balls[None], axis=2)  # trilinear
+    scene.add_embedded_surface(np.tile(cube.balls, (4, 1)), weights, [[0, 1, 2], [0, 2, 3]], colour=(1, 1, 1))
+    frame = frame_of(scene)
+    frame.objects, frame.embedded_surfaces = tuple(scene.objects), tuple(scene.embedded_surfaces)
+    look = {"of": "flag", "texture": tmp_path / "two.png"}
+    drawn = picture(frame, camera=FRONT, shadow=False, background=(0, 0, 0), looks=[look]).astype(int)
+    for column in drawn.transpose(1, 0, 2)[72:88]:
+        seen = np.flatnonzero(column.max(axis=1) > 20)
+        upper, lower = np.array_split(column[seen], 2)
+        assert len(seen) > 20
+        assert np.mean(upper[:, 0] > upper[:, 2]) > 0.9
+        assert np.mean(lower[:, 2] > lower[:, 0]) > 0.9
+
+
 def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
     image = np.zeros((64, 64, 3), dtype=np.uint8)
     image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), 255

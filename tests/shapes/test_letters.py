@@ -152,6 +152,7 @@ def test_colliders_are_solid_in_3d_and_outlines_in_2d():
     scene = ts.Scene(dim=3)
     ts.shapes.text(scene, "OI", 1.0, kind="collider", depth=0.4, position=(0, 0, 1), material="wood", colour=(1, 0, 0))
     assert [one.colour for one in scene.colliders] == [(1.0, 0.0, 0.0)] * 2
+    assert [one.label for one in scene.colliders] == ["text_0", "text_1"]
     letter = scene.colliders[0]
     middle = np.asarray(text_outlines("text", "OI", 1.0)[0].polygon.centroid.coords)[0]
     across = np.array([[*middle, 1.0], [middle[0], 0.05, 1.0], [middle[0], 0.05, 1.3]])
@@ -246,3 +247,29 @@ def test_a_spacing_that_is_too_coarse_is_refused():
     thin = shapely.box(0, 0, 1, 1e-9)
     with pytest.raises(ts.SceneError, match=r"text.spacing: 0.1 is too coarse for what is thin in its outline"):
         filled("text.spacing", thin.difference(shapely.box(0.4, 0, 0.6, 0.9999e-9)), 0.1)
+
+
+@pytest.mark.parametrize(("word", "labels"), [("I", ["sign"]), ("OI", ["sign_0", "sign_1"])])
+def test_colliders_of_letters_have_the_name_of_their_table(tmp_path, word, labels):
+    file = tmp_path / "sign.toml"
+    file.write_text(
+        "format = 1\ndim = 3\n"
+        "balls = [{ position = [[0, 9, 0]], radius = 0.1 }]\n"
+        f'text = [{{ text = "{word}", kind = "collider", name = "sign" }}]\n'
+    )
+    scene = ts.load_scene(file)
+    assert [one.label for one in scene.colliders] == labels
+    assert [one.name for one in scene.objects] == []
+    scene.save(file)
+    assert [one.label for one in ts.load_scene(file).colliders] == labels
+
+
+def test_a_letter_around_a_ball_is_named():
+    scene = ts.Scene(dim=3)
+    ts.shapes.text(scene, "I", kind="collider")
+    scene.set_collider_name(0, "beam")
+    scene.add_balls([scene.colliders[0].vertices.mean(axis=0)], radius=1e-3)
+    with pytest.raises(ts.SceneError, match=r"^colliders\[0\]: the mesh 'beam' starts around ball 0, up to"):
+        ts.Simulation(scene)
+    with pytest.raises(ts.SceneError, match=r"colliders\[0\]\.name: 'beam' exists already"):
+        scene.set_collider_name(0, "beam")

@@ -232,6 +232,60 @@ def test_a_rope_of_a_modulus_and_the_default_one():
         assert not len(usual.bends)
 
 
+HANGING = {
+    "level": ((0, 0), (1, 0), 1.3, 33, (0, -9.81)),
+    "to a lower end": ((-1, 2), (0.5, 0.2), 2.9, 20, (0, -1.62)),
+    "along x": ((0.3, 0), (0.1, 1.4), 2.0, 41, (3.0, 0)),
+    "nearly taut": ((0, 0), (2, 1), np.hypot(2, 1) * (1 + 1e-6), 50, (0, -9.81)),
+    "two pieces": ((0, 0), (1, 0.2), 1.5, 3, (0, -9.81)),
+    "in space": ((1, 2, 3), (2, 2.5, 2), 3.0, 64, (0.1, -9.0, 2.0)),
+    "without gravity": ((0, 0, 0), (0, 0, 1), 1.2, 30, (0, 0, 0)),
+}
+
+
+@pytest.mark.parametrize("name", HANGING)
+def test_a_rope_longer_than_the_distance_hangs_at_rest(name):
+    """The forces along its pieces that carry the weight of its balls: those at each ball add up to its weight."""
+    start, end, length, n, gravity = HANGING[name]
+    scene = Scene(dim=len(start), gravity=gravity)
+    shapes.rope(scene, start, end, n, length=length, mass=2.0)
+    x, down = scene.position, np.array(gravity) if any(gravity) else np.array([0.0, -1.0, 0.0])
+    assert np.allclose(x[[0, -1]], [start, end], rtol=0, atol=1e-15)
+    assert scene.rest_length == pytest.approx(length / (n - 1), rel=1e-12)
+    assert scene.mass.sum() == pytest.approx(2.0)
+    piece = np.diff(x, axis=0) / scene.rest_length[:, None]
+    down = down / np.linalg.norm(down)
+    sideways = piece - np.outer(piece @ down, down)
+    slope = piece @ down / np.linalg.norm(sideways, axis=1)  # of the pull, whose part sideways is the same throughout
+    assert np.ptp(np.diff(slope)) < 1e-9 * np.abs(np.diff(slope)).max() + 1e-11
+    assert np.diff(slope).max() < 0
+    assert np.abs(sideways @ sideways[0] / np.linalg.norm(sideways, axis=1) - np.linalg.norm(sideways[0])).max() < 1e-9
+
+
+def test_a_hanging_rope_is_the_catenary_of_its_length():
+    """y = c cosh(x / c) with 2 c sinh(D / 2 c) = L: c = 0.8, D = 1.2; the difference falls as the square of the spacing."""
+    c, apart = 0.8, 1.2
+    length, sag = 2 * c * np.sinh(apart / 2 / c), c * (np.cosh(apart / 2 / c) - 1)
+    off = []
+    for n in (17, 33, 65):
+        scene = Scene(dim=2, gravity=(0, -9.81))
+        shapes.rope(scene, (0, 0), (apart, 0), n, length=length)
+        x, y = (scene.position - [apart / 2, 0]).T
+        off.append(np.abs(y + sag + c - c * np.cosh(x / c)).max())
+    assert off[2] < 2e-4 * sag
+    assert off[0] / off[1] == pytest.approx(4, rel=0.05)
+    assert off[1] / off[2] == pytest.approx(4, rel=0.05)
+
+
+def test_a_rope_shorter_than_the_distance_is_tight():
+    scene = Scene(dim=2, gravity=(0, -9.81))
+    rope = shapes.rope(scene, (0, 0), (3, 4), 11, length=4.0, EA=200.0, mass_per_length=0.3)
+    assert scene.position[rope.balls] == pytest.approx(np.linspace(0, 1, 11)[:, None] * [3, 4])
+    assert scene.rest_length == pytest.approx(0.4)
+    assert scene.stiffness * (0.5 - 0.4) == pytest.approx(200.0 * 0.25)
+    assert scene.mass.sum() == pytest.approx(1.2)
+
+
 def test_truss():
     for dim, bars in ((2, 4 * 2 + 5 + 4 * 2), (3, 16 + 20 + 4 * 8 + 5 * 2)):
         scene = Scene(dim=dim)
@@ -378,6 +432,9 @@ REFUSED = [
         r"rope\.mass_per_length: .* with mass",
     ),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), EA=0.0), r"rope\.EA: 0"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), length=0.0), r"rope\.length: 0"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), 2, length=1.5), r"rope\.length: 1\.5 .*more balls"),
+    (2, lambda s: shapes.rope(s, (0, 0), (0, -1), 9, length=4.0), r"rope\.length: 4\.0 .*0 m apart sideways"),
     (2, lambda s: shapes.wheel(s, (0, 0), 0.0), r"wheel\.radius: 0"),
     (2, lambda s: shapes.wheel(s, (0, 0), 1.0, 2), r"wheel\.spokes: 2 .*at least 3"),
     (2, lambda s: shapes.pile(s, (3, 0), 1.0), r"pile\.resolution"),
