@@ -13,7 +13,17 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
 from taichi_sim.scene.part import Columns, Element
 
-__all__ = ["BRICKS", "MOST_RATIO", "BrickMethods", "at_rest", "corner_volumes", "lame", "laws", "neo_hookean"]
+__all__ = [
+    "BRICKS",
+    "MOST_RATIO",
+    "BrickMethods",
+    "at_rest",
+    "corner_volumes",
+    "lame",
+    "laws",
+    "neo_hookean",
+    "rates_at_rest",
+]
 
 Floats = NDArray[np.float64]
 MOST_RATIO = {2: 0.9996, 3: 0.4999}  # Poisson's, by the dimensions: in 2D that of plane strain with the other
@@ -106,7 +116,11 @@ class _Bricks(Columns, Element):
     features: ClassVar = {"viscosity of bricks": lambda scene: np.any(scene.brick_viscosity > 0)}
 
     def energies(self, scene: Any, x: Floats, whole: NDArray[np.bool_]) -> list[float]:
-        gradient, bent = _patterns(x[scene.bricks], scene.brick_size)
+        return [float(np.sum(self.stored(scene, x[scene.bricks])[whole]))]
+
+    def stored(self, scene: Any, x: Floats) -> Floats:
+        """Energies (b,) [J] of the bricks with corners at x (b, 2^dim, dim) [m]."""
+        gradient, bent = _patterns(x, scene.brick_size)
         mu, lam = lame(scene.dim, scene.brick_modulus, scene.brick_ratio)
         m, k, alpha = neo_hookean(mu, lam)
         shape = np.sum(gradient**2, axis=(1, 2)) + (3 - scene.dim)
@@ -119,7 +133,7 @@ class _Bricks(Columns, Element):
             len(own), *(strain.shape[1:] * 2)
         )
         stored += 0.5 * np.einsum("bpi,bpiqj,bqj->b", strain, stiff[law.ravel()], strain)
-        return [float(np.sum((stored * scene.brick_size.prod(axis=1))[whole]))]
+        return stored * scene.brick_size.prod(axis=1)  # type: ignore[no-any-return]
 
     def further_rates(self, scene: Any) -> tuple[float, float]:
         """Largest of all bricks alone at rest, each with its part of the masses of its balls, which is a bound."""
@@ -131,8 +145,8 @@ class _Bricks(Columns, Element):
         own, law = np.unique(_rows(scene), axis=0, return_inverse=True)
         least = np.full(len(own), np.inf)
         np.minimum.at(least, law.ravel(), density.min(axis=1))
-        rates = np.array([_rates(row) for row in own]) / least[:, None]
-        return ROOM * float(rates[:, 0].max()), ROOM * float(rates[:, 1].max())
+        rates = np.array([rates_at_rest(row[2:-1], row[0], row[1], row[-1]) for row in own]) / least[:, None]
+        return float(rates[:, 0].max()), float(rates[:, 1].max())
 
 
 BRICKS = _Bricks()
@@ -165,7 +179,7 @@ def _bent(dim: int) -> list[tuple[int, ...]]:
 
 
 def _bent_signs(dim: int) -> Floats:
-    """What each corner adds to the amplitudes of the `_bent`, (p, 2^dim)."""
+    """Shares (p, 2^dim) of the corners in the amplitudes of the `_bent`."""
     signs = _signs(dim)
     return np.array([signs[:, list(p)].prod(axis=1) for p in _bent(dim)]) / 2**dim
 
@@ -230,13 +244,14 @@ def at_rest(size: Floats, young_modulus: float, poisson_ratio: float) -> Floats:
     return (whole + bent.T @ stiff @ bent) * float(np.prod(size))
 
 
-def _rates(row: Floats) -> tuple[float, float]:
-    """Largest eigenvalues of stiffness and damping of one brick at rest, for a density of 1 at each of its corners."""
-    size, (modulus, ratio) = row[2:-1], row[:2]
-    elastic, loss = (
-        float(np.linalg.eigvalsh(part)[-1]) for part in at_rest(size, modulus, ratio) / float(np.prod(size))
-    )
-    return elastic, row[-1] / lame(len(size), modulus, ratio)[0] * loss
+def rates_at_rest(
+    size: Floats, young_modulus: float, poisson_ratio: float, viscosity: float = 0.0
+) -> tuple[float, float]:
+    """Largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of bricks at rest, for balls of a mass of 1 kg for each m^dim of the
+    bricks around, and with room for what is stretched."""
+    stiff = at_rest(size, young_modulus, poisson_ratio) / float(np.prod(size))
+    elastic, loss = (ROOM * float(np.linalg.eigvalsh(part)[-1]) for part in stiff)
+    return elastic, viscosity / lame(len(size), young_modulus, poisson_ratio)[0] * loss
 
 
 def corner_volumes(x: Floats, bricks: NDArray) -> Floats:
