@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,12 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.scene.elements import ELEMENTS
-from taichi_sim.scene.gases import GASES, volume_gradient
-from taichi_sim.scene.part import Quadratic
+from taichi_sim.scene.gases import volume_gradient
+from taichi_sim.scene.part import Element, Quadratic
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.wind import WIND
 
-__all__ = ["NO_RATES", "Rates", "declared_rates", "element_rates", "largest_rate", "pushing_gas", "undeclared"]
+__all__ = [
+    "NO_RATES",
+    "Declared",
+    "Rates",
+    "declared_rates",
+    "element_rates",
+    "largest_rate",
+    "pushing_gas",
+    "undeclared",
+]
 
 PUSH = 0.001  # of the shortest side at a ball: what a gas may move it by in a step of xpbd; a hung balloon is then right to 1 %
 ROUNDS, MARGIN = 30, 1.1  # of power iteration, which after ten comes to nine tenths of what it seeks
@@ -38,8 +47,19 @@ class Rates(NamedTuple):
 NO_RATES = Rates(0.0, 0.0)
 
 
-def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
-    """Rates of all elements together, or of all but gas.
+class Declared(NamedTuple):
+    """Rates that user-defined forces declare: of `elements` that implicit methods solve for, and of all `others`."""
+
+    others: Rates = NO_RATES
+    elements: Rates = NO_RATES
+
+    def left(self, solved: bool) -> Rates:
+        """Rates of what is explicit in a method that solves for elements, or does not."""
+        return self.others if solved else self.others.plus(self.elements)
+
+
+def element_rates(scene: Scene, solved: Collection[Element] = ()) -> Rates:
+    """Rates of all elements together, or of all but those that a method has `solved`.
 
     The energy of an element has the second derivative k g g^T. Its largest eigenvalue over all comes from power iteration, which
     errs below, with a margin, but is at most what Gershgorin's rows for M^-1/2 K M^-1/2 allow: max_i w_i^1/2 sum_e k |g_i| sum_j
@@ -47,7 +67,7 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     that of its volume now, and its pressure on top, which turns with the surface: p times the edges at a ball over six.
     """
     root = np.where(scene.pinned, 0.0, 1.0 / np.sqrt(scene.mass))
-    there = [one for one in ELEMENTS if one.count(scene) and (with_gas or one is not GASES)]
+    there = [one for one in ELEMENTS if one.count(scene) and one not in solved]
     further = [one.further_rates(scene) for one in there]
     elastic = _largest([kind for one in there for kind in one.stiffness(scene)], root, scene.dim)
     damping = _largest([kind for one in there for kind in one.damping(scene)], root, scene.dim)
@@ -55,20 +75,19 @@ def element_rates(scene: Scene, with_gas: bool = True) -> Rates:
     return Rates(elastic + sum(rate for rate, _ in further), damping + sum(rate for _, rate in further), drag)
 
 
-def declared_rates(scene: Scene, forces: Sequence[Any]) -> Rates:
+def declared_rates(scene: Scene, forces: Sequence[Any]) -> Declared:
     """Rates that user-defined forces declare: the sums of their `stiffness_rate(scene)` [1/s^2] and `damping_rate(scene)`
     [1/s], 0 where a force has no such function. Raises ValueError for what is not a rate."""
-    sums = []
-    for name in ("stiffness_rate", "damping_rate"):
-        sums.append(0.0)
+    sums = {False: [0.0, 0.0], True: [0.0, 0.0]}
+    for k, name in enumerate(("stiffness_rate", "damping_rate")):
         for force in forces:
             rate = getattr(force, name)(scene) if hasattr(force, name) else 0.0
             if np.ndim(rate) or not isinstance(rate, (int, float, np.number)) or not 0.0 <= rate < np.inf:
                 raise ValueError(
                     f"forces: {type(force).__name__}.{name} gave {rate!r}; it must be one number, 0 or more, and finite"
                 )
-            sums[-1] += float(rate)
-    return Rates(*sums)
+            sums[bool(getattr(force, "implicit", False))][k] += float(rate)
+    return Declared(Rates(*sums[False]), Rates(*sums[True]))
 
 
 def undeclared(forces: Sequence[Any]) -> list[str]:

@@ -17,6 +17,9 @@ from taichi_sim.analysis.limits import (
     SmallMotionLimit,
     StabilityLimit,
 )
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.gases import GASES
+from taichi_sim.scene.part import Element
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -47,8 +50,9 @@ class Method:
     `order`: of convergence of the phase-space error for smooth scenes. `limit`: of its step, None where that is not known: then
     a simulation needs a number as dt. `symplectic`: small motion keeps an energy near the true one, but large motion of
     undamped springs resonates with the step, so that automatic steps are shorter there. `conserves`: it damps nothing of its
-    own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `single_pass`: each
-    spring gives once in a step, or by halves in two passes, what it would if it were alone.
+    own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `solves_elements`: the
+    same for elements that give their derivatives. `single_pass`: each spring gives once in a step, or by halves in two passes,
+    what it would if it were alone.
 
     A method that can say more overrides the functions below:
 
@@ -64,10 +68,17 @@ class Method:
     conserves: bool = False
     contact_solves: int = 1
     solves_gas: bool = False
+    solves_elements: bool = False
     single_pass: bool = False
 
     def __str__(self) -> str:
         return self.name
+
+    def solved(self, scene: Scene) -> tuple[Element, ...]:
+        """The scene's elements that do not limit the step, as the method solves for them together with springs."""
+        elements = [one for one in ELEMENTS if self.solves_elements and one.is_implicit and one.acts(scene)]
+        with_gas = self.solves_gas and (scene.n_springs > 0 or len(elements) > 0)
+        return (*elements, *((GASES,) if with_gas else ()))
 
     def amplification(self, scene: Scene, omega: float, d: float, h: float) -> Floats | None:
         """The matrix by which a step of h seconds takes on place and velocity, and what else the method remembers, of
@@ -211,10 +222,15 @@ XPBD = _BackwardEuler(
     "xpbd", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, single_pass=True, iterations=2
 )
 IMPLICIT_EULER = _BackwardEuler(
-    "implicit_euler", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, iterations=5
+    "implicit_euler",
+    1,
+    ImplicitLimit(undamped=2.0, damped=1.0),
+    solves_gas=True,
+    solves_elements=True,
+    iterations=5,
 )
 # its two stages take explicit forces from old places
-TR_BDF2 = _TRBDF2("tr_bdf2", 2, SmallMotionLimit(undamped=1.0, damped=0.5), contact_solves=2)
+TR_BDF2 = _TRBDF2("tr_bdf2", 2, SmallMotionLimit(undamped=1.0, damped=0.5), contact_solves=2, solves_elements=True)
 
 BUILT_IN_METHODS = {
     method.name: method for method in (EXPLICIT_EULER, SYMPLECTIC_EULER, VERLET, RK4, XPBD, IMPLICIT_EULER, TR_BDF2)

@@ -5,11 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.element_rates import NO_RATES, Rates, element_rates, pushing_gas
+from taichi_sim.analysis.element_rates import Declared, Rates, element_rates, pushing_gas
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.analysis.spring_bounds import Network, largest_eigenvalue, present_eigenvalue
 from taichi_sim.geometry.graph import components
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.gases import GASES
 from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
@@ -26,6 +28,7 @@ __all__ = [
 MOST_BOUNCE = 0.85  # restitution at which springs solved one by one are known to gain nothing from a wall
 SINKING = 0.05  # of a rest length: what xpbd may leave a spring too long by
 HEAVY = 10.0  # times the mass of the other end: such a ball may not
+NOTHING = Declared()
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
 
 Floats = NDArray[np.float64]
@@ -47,7 +50,7 @@ def stability(
     scene: Scene,
     method: Method,
     position: Floats | None = None,
-    custom: Rates = NO_RATES,
+    custom: Declared = NOTHING,
     torn: NDArray[np.bool_] | None = None,
 ) -> Stability:
     """Largest safe step of a scene by a method. position (n, dim) [m]: the present shape; without it that bound, which takes
@@ -59,7 +62,7 @@ def stability(
     rates = _explicit(scene, method, custom)
     if (scene.n_springs == 0 and not any(rates)) or scene.pinned.all():
         return _unlimited("no spring moves a ball: every step is stable")
-    pushed = pushing_gas(scene) if method.single_pass and _solves_gas(scene, method) else np.inf
+    pushed = pushing_gas(scene) if method.single_pass and GASES in method.solved(scene) else np.inf
     if pushed < limit.of_elements(rates):
         return Stability(
             pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
@@ -70,7 +73,7 @@ def stability(
         return _unlimited(f"{method} is stable at any step{limit.caution}{caution}")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
-        return _of_elements(method, limit, rates, custom)
+        return _of_elements(method, limit, rates, _explicit_parts(scene, method, custom))
     h, spring = limit.of_springs(_any_shape(scene, k, c, rates))
     if np.isinf(h):
         return _unlimited("no spring has stiffness or damping: every step is stable")
@@ -78,7 +81,7 @@ def stability(
     i, j = (int(b) for b in scene.pairs[spring])
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
-    what = _explicit_parts(custom)
+    what = _explicit_parts(scene, method, custom) if any(rates) else ""
     if h == 0.0:
         of = f"{what} are" if rates.elastic > 0.0 else f"spring {spring} (balls {i} and {j}) is"
         return Stability(h, now, spring, ball, f"{of} undamped: {method} gains energy whatever the step")
@@ -93,7 +96,7 @@ def stability(
 
 
 def present_limit(
-    scene: Scene, method: Method, position: Floats, custom: Rates = NO_RATES, torn: NDArray[np.bool_] | None = None
+    scene: Scene, method: Method, position: Floats, custom: Declared = NOTHING, torn: NDArray[np.bool_] | None = None
 ) -> tuple[float, int]:
     """The largest safe step [s] at `position` (n, dim) [m], and the spring that sets it, or -1 where springs do not. torn: as
     above."""
@@ -105,7 +108,7 @@ def present_limit(
     return limit.of_springs(Network(scene, k, c, rates, lambda k, c: present_eigenvalue(scene, k, c, position)))
 
 
-def without(scene: Scene, method: Method, spring: int, custom: Rates = NO_RATES) -> float:
+def without(scene: Scene, method: Method, spring: int, custom: Declared = NOTHING) -> float:
     """The bound for any shape if one spring were not there [s]."""
     k, c = scene.stiffness.copy(), scene.damping.copy()
     k[spring] = c[spring] = 0.0
@@ -126,31 +129,30 @@ def _any_shape(scene: Scene, k: Floats, c: Floats, rates: Rates) -> Network:
     return Network(scene, k, c, rates, lambda k, c: largest_eigenvalue(scene, k + c))
 
 
-def _explicit(scene: Scene, method: Method, custom: Rates) -> Rates:
+def _explicit(scene: Scene, method: Method, custom: Declared) -> Rates:
     """Rates of what a method takes explicitly besides springs."""
-    return element_rates(scene, not _solves_gas(scene, method)).plus(custom)
+    return element_rates(scene, method.solved(scene)).plus(custom.left(method.solves_elements))
 
 
-def _solves_gas(scene: Scene, method: Method) -> bool:
-    """True if a method treats gas together with springs, so that it does not limit the step."""
-    return method.solves_gas and scene.n_springs > 0
-
-
-def _explicit_parts(custom: Rates) -> str:
-    return "cells, bending, gas and user-defined forces" if any(custom) else "cells, bending and gas"
+def _explicit_parts(scene: Scene, method: Method, custom: Declared) -> str:
+    """Names of what a method takes explicitly besides springs."""
+    solved = method.solved(scene)
+    names = [one.name for one in ELEMENTS if one.acts(scene) and one not in solved]
+    names += ["user-defined forces"] * any(custom.left(method.solves_elements))
+    return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
 
 
 def _unlimited(reason: str) -> Stability:
     return Stability(np.inf, np.inf, None, None, reason)
 
 
-def _of_elements(method: Method, limit: StabilityLimit, rates: Rates, custom: Rates) -> Stability:
-    """Stability where only elements limit the step: they are explicit in every method."""
+def _of_elements(method: Method, limit: StabilityLimit, rates: Rates, parts: str) -> Stability:
+    """Stability where only `parts` that a method takes explicitly limit the step."""
     h = limit.of_elements(rates)
     if np.isinf(h):
         return _unlimited("nothing has stiffness or damping: every step is stable")
     what = f"{method} gains energy whatever the step" if h == 0.0 else f"explicit forces, limit {method}"
-    return Stability(h, h, None, None, f"{_explicit_parts(custom)}: {what}")
+    return Stability(h, h, None, None, f"{parts}: {what}")
 
 
 class Sinking(NamedTuple):

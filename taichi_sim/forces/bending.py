@@ -47,13 +47,18 @@ class Bending(Corners):
         return row.wa * (ball[row.a].x - x) + row.wb * (ball[row.b].x - x) + row.wc * (ball[row.c].x - x)
 
     @ti.func
+    def _change(self, ball: ti.template(), i, row):
+        """Rate of change of that [m/s]."""
+        v = ball[i].v
+        return row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
+
+    @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
         """Force on ball i [N] by the curvature, and by the rate of its size."""
         bent = self._curve(ball, i, row)
         pull = row.stiffness * bent
         if ti.static(self.damped):
-            v = ball[i].v
-            change = row.wa * (ball[row.a].v - v) + row.wb * (ball[row.b].v - v) + row.wc * (ball[row.c].v - v)
+            change = self._change(ball, i, row)
             square = bent.dot(bent)
             if square > 0.0:
                 change = bent.dot(change) / square * bent
@@ -64,5 +69,49 @@ class Bending(Corners):
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
         """Share of ball i of the element's energy [J], in proportion to the sizes of its weights."""
         bent = self._curve(ball, i, row)
-        share = abs(row.own) / max(1e-30, abs(row.own) + abs(row.wa) + abs(row.wb) + abs(row.wc))
-        return 0.5 * ti.cast(share * row.stiffness, real) * ti.cast(bent.dot(bent), real)
+        return 0.5 * ti.cast(self._share(row) * row.stiffness, real) * ti.cast(bent.dot(bent), real)
+
+    @ti.func
+    def _share(self, row):
+        """Part of the element that its corner counts."""
+        return abs(row.own) / max(1e-30, abs(row.own) + abs(row.wa) + abs(row.wb) + abs(row.wc))
+
+    @ti.func
+    def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):
+        """Share of ball i of half the power of damping [W]."""
+        loss = ti.cast(0.0, real)
+        if ti.static(self.damped):
+            bent, change = self._curve(ball, i, row), self._change(ball, i, row)
+            square = bent.dot(bent)
+            rate = change.dot(change)
+            if square > 0.0:
+                rate = bent.dot(change) ** 2 / square
+            loss = 0.5 * ti.cast(self._share(row) * row.damping * rate, real)
+        return loss
+
+    @ti.func
+    def corner_product(self, ball: ti.template(), i, row, s):
+        """The exact derivative by places; of damping that by velocities, n kept."""
+        p = ball[i].p
+        turned = row.wa * (ball[row.a].p - p) + row.wb * (ball[row.b].p - p) + row.wc * (ball[row.c].p - p)
+        product = s * (s * row.stiffness) * turned
+        if ti.static(self.damped):
+            bent = self._curve(ball, i, row)
+            square = bent.dot(bent)
+            if square > 0.0:
+                turned = bent.dot(turned) / square * bent
+            product += s * row.damping * turned
+        return row.own * product
+
+    @ti.func
+    def corner_block(self, ball: ti.template(), i, row, s):
+        """The block of the same."""
+        one = ti.Matrix.identity(float, self.dim)
+        block = s * (s * row.stiffness) * one
+        if ti.static(self.damped):
+            bent = self._curve(ball, i, row)
+            square = bent.dot(bent)
+            if square > 0.0:
+                one = bent.outer_product(bent) / square
+            block += s * row.damping * one
+        return row.own * row.own * block

@@ -33,6 +33,8 @@ from taichi_sim.scene.scene import Scene
 
 __all__ = ["Element"]
 
+DERIVATIVES = ("product", "block", "potential")
+
 
 @ti.data_oriented
 class Element(Corners):
@@ -44,12 +46,26 @@ class Element(Corners):
     over the corners, else momentum is not kept. As any force it may have `stiffness_rate(scene)` [1/s^2], see `largest_rate`,
     and `damping_rate(scene)` [1/s]. `energies(position)`, NumPy: (e,) J at (n, dim) m, counted in `Simulation.energy`. An
     element two of whose balls a torn spring joined acts no more.
+
+    With three more functions implicit methods solve for it, and it limits no step of theirs. Without them it is explicit.
+    `product(ball, row, s)`: the rows of corner row.corner of (s^2 K + s D) p, p from ball[j].p, where -K and -D are the
+    derivatives of the forces by places and velocities, symmetric, and without what is negative. `block(ball, row, s)`: the block
+    (dim, dim) of s^2 K + s D that joins the corner to itself. `potential(ball, row, s)`: the corner's share of the energy [J]
+    and of s / 2 times the power that damping takes. Places and velocities are those of the end of a stage of s seconds.
     """
 
     elastic = False
     balls: ArrayLike
     force: Callable[..., Any]
+    product: Any = None  # a ti.func
+    block: Any = None
+    potential: Any = None
     columns: Mapping[str, Any] = {}
+
+    @property
+    def implicit(self) -> bool:
+        """True if it gives `product`, `block` and `potential`."""
+        return self.product is not None
 
     def corners(self, scene: Scene) -> NDArray[np.int32]:
         """`balls`, checked."""
@@ -64,11 +80,19 @@ class Element(Corners):
     def check(self, scene: Scene) -> None:
         """Raises SceneError for balls, columns or a force that do not fit."""
         validation.taichi_function("forces", self, "force", "ball, row, time")
+        given = [name for name in DERIVATIVES if getattr(self, name) is not None]
+        if 0 < len(given) < len(DERIVATIVES):
+            missing = ", ".join(name for name in DERIVATIVES if name not in given)
+            says = f"is given without {missing}; implicit methods need {', '.join(DERIVATIVES)}, or none of them"
+            raise SceneError(f"{type(self).__name__}.{given[0]}", says=says)
+        for name in given:
+            validation.taichi_function("forces", self, name, "ball, row, s")
         balls = self.corners(scene)
         known = ["corner", *CORNER_NAMES[: balls.shape[1]], *self._checked_columns(len(balls))]
-        for name in sorted(validation.attributes_read(type(self).force, 1) - set(known)):
-            says = f"is read by force, but it is no column and no corner of its {balls.shape[1]}; there are {', '.join(known)}"
-            raise SceneError(f"{type(self).__name__}.columns.{name}", says=says)
+        for function in ("force", *given):
+            for name in sorted(validation.attributes_read(getattr(type(self), function), 1) - set(known)):
+                says = f"is read by {function}, but it is no column and no corner of its {balls.shape[1]}"
+                raise SceneError(f"{type(self).__name__}.columns.{name}", says=f"{says}; there are {', '.join(known)}")
 
     def _checked_columns(self, count: int) -> dict[str, NDArray]:
         """`columns`, one number for each of so many elements."""
@@ -93,3 +117,22 @@ class Element(Corners):
     def corner_force(self, ball: ti.template(), i, row, time):
         """The user's."""
         return self.force(ball, row, time)
+
+    @ti.func
+    def corner_product(self, ball: ti.template(), i, row, s):
+        """The user's."""
+        return self.product(ball, row, s)
+
+    @ti.func
+    def corner_block(self, ball: ti.template(), i, row, s):
+        """The user's."""
+        return self.block(ball, row, s)
+
+    @ti.func
+    def potential_at(self, ball: ti.template(), i, s, real: ti.template()):
+        """Sum of the user's."""
+        energy = ti.cast(0.0, real)
+        for e in range(self.start[i], self.start[i + 1]):
+            if self.is_whole(e):
+                energy += ti.cast(self.potential(ball, self.row[e], s), real)
+        return energy

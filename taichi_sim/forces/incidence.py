@@ -20,7 +20,14 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 class Corners:
     """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
     the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
-    see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing."""
+    see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
+
+    Elements that give `corner_product`, `corner_block` and `corner_energy` are implicit in implicit methods: a stage of s seconds
+    that ends at places x = p + s v minimises sum m |q - v|^2 / 2 + W(x) + s R(x, v), W the energy and R half of the power that
+    damping takes. Of its matrix M + s^2 K + s D these functions give s^2 K + s D, which must be positive semidefinite and
+    symmetric: an element leaves out, or clamps, what is negative. They read ball[j].x and ball[j].v, which are those of the end
+    of the stage, and ball[j].p, the vector that is multiplied. Work that corners share is done once for each element in
+    `prepare`, `prepare_blocks` and `prepare_product`, which run before."""
 
     may_slice = False
 
@@ -47,6 +54,8 @@ class Corners:
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
+        self.corner_names = tuple(names)
+        self.ties = np.stack([own, others[:, 0]], axis=1)  # (r, 2) balls that rows join
         self.start = fields.integers(start)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
         slices = Slices.of(start) if self.may_slice and not self.tears else None
@@ -59,6 +68,11 @@ class Corners:
         if self.tears:
             self.gone = fields.integers(len(own))
             self.members = np.concatenate([own[order, None], others[order]], axis=1)
+
+    @property
+    def implicit(self) -> bool:
+        """True if implicit methods solve for its forces, as it gives their derivatives."""
+        return type(self).corner_product is not Corners.corner_product
 
     @ti.func
     def is_whole(self, e):
@@ -73,12 +87,7 @@ class Corners:
         """Each ball gathers from its elements."""
         self.prepare(ball)
         for i in range(self.n):
-            f = ti.Vector.zero(float, self.dim)
-            for t in range(self.start[i + 1] - self.start[i]):
-                e = list_entry(self, i, t)
-                if self.is_whole(e):
-                    f += self.corner_force(ball, i, self.row[e], time)
-            impulse[i] = impulse[i] + h * f
+            impulse[i] = impulse[i] + h * self.force_on(ball, i, time)
 
     @ti.func
     def prepare(self, ball: ti.template()):
@@ -103,3 +112,70 @@ class Corners:
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
         """Ball i's share of the energy of the element of a row [J], where it holds some."""
         return ti.cast(0.0, real)
+
+    # The derivatives, for implicit methods
+
+    @ti.func
+    def prepare_blocks(self, ball: ti.template(), s):
+        """Compute what blocks and products have in common, at the places of the last `prepare`."""
+
+    @ti.func
+    def prepare_product(self, ball: ti.template(), s):
+        """Compute what the products with ball[j].p have in common."""
+
+    @ti.func
+    def corner_product(self, ball: ti.template(), i, row, s):
+        """Rows of ball i of (s^2 K + s D) p [kg times p] of the element of a row, p from ball[j].p."""
+        return ti.Vector.zero(float, self.dim)
+
+    @ti.func
+    def corner_block(self, ball: ti.template(), i, row, s):
+        """Block (dim, dim) of s^2 K + s D [kg] that joins ball i to itself, of the element of a row."""
+        return ti.Matrix.zero(float, self.dim, self.dim)
+
+    @ti.func
+    def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):
+        """Ball i's share of half of the power [W] that the damping of the element of a row takes."""
+        return ti.cast(0.0, real)
+
+    @ti.func
+    def force_on(self, ball: ti.template(), i, time):
+        """Force on ball i [N]; after `prepare`."""
+        f = ti.Vector.zero(float, self.dim)
+        for t in range(self.start[i + 1] - self.start[i]):
+            e = list_entry(self, i, t)
+            if self.is_whole(e):
+                f += self.corner_force(ball, i, self.row[e], time)
+        return f
+
+    @ti.func
+    def product_at(self, ball: ti.template(), i, s):
+        """Rows of ball i of (s^2 K + s D) p; after `prepare_product`."""
+        f = ti.Vector.zero(float, self.dim)
+        for t in range(self.start[i + 1] - self.start[i]):
+            e = list_entry(self, i, t)
+            if self.is_whole(e):
+                f += self.corner_product(ball, i, self.row[e], s)
+        return f
+
+    @ti.func
+    def block_at(self, ball: ti.template(), i, s):
+        """Block of ball i of s^2 K + s D [kg]; after `prepare_blocks`."""
+        block = ti.Matrix.zero(float, self.dim, self.dim)
+        for t in range(self.start[i + 1] - self.start[i]):
+            e = list_entry(self, i, t)
+            if self.is_whole(e):
+                block += self.corner_block(ball, i, self.row[e], s)
+        return block
+
+    @ti.func
+    def potential_at(self, ball: ti.template(), i, s, real: ti.template()):
+        """Ball i's share of W + s R [J]."""
+        energy = ti.cast(0.0, real)
+        for t in range(self.start[i + 1] - self.start[i]):
+            e = list_entry(self, i, t)
+            if self.is_whole(e):
+                row = self.row[e]
+                energy += self.corner_energy(ball, i, row, real)
+                energy += ti.cast(s, real) * self.corner_loss(ball, i, row, real)
+        return energy

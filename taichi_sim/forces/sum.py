@@ -84,11 +84,13 @@ class TotalForce:
             if hasattr(force, "allocate"):
                 force.allocate(self.model, state, fields)
 
-    def take(self, kind: Any) -> Any:
-        """The scene's elements of a kind, or None; `external` leaves them to the method that asks."""
-        taken = next((force for force in self.elements if isinstance(force, kind)), None)
-        self.external_forces = [force for force in self.extra if force is not taken]
-        return taken
+    def of_kind(self, kind: Any) -> Any:
+        """The scene's elements of a kind, or None."""
+        return next((force for force in self.elements if isinstance(force, kind)), None)
+
+    def take(self, taken: Sequence[Any]) -> None:
+        """Leave some elements to the method that asks, so that `external` does not sum them."""
+        self.external_forces = [force for force in self.extra if force not in taken]
 
     def names(self) -> list[str]:
         """Names of the parts that are compiled in, for `Simulation.kernels()`."""

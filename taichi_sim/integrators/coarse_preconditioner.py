@@ -3,7 +3,10 @@
 A block of the diagonal sees a ball and its neighbours, so what moves many balls together takes as many iterations as there are
 balls across. Aggregates of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
 movement of aggregates to that of balls. Their matrix is small and solved directly; springs within an aggregate drop out of it.
+Elements that belong to several aggregates enter by a bound: x^T K x is at most the sum of the k blocks of the diagonal, times k.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,16 +40,20 @@ def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
 
 @ti.data_oriented
 class Aggregates:
-    """Aggregates of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms."""
+    """Aggregates of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms. elements: a
+    StageElements, or None."""
 
-    def __init__(self, model: Model, springs: Springs, spring_block: ti.StructField, fields: Fields) -> None:
-        scene = model.scene
+    def __init__(
+        self, model: Model, springs: Springs | None, spring_block: ti.StructField, elements: Any, fields: Fields
+    ) -> None:
+        scene, self.elements, self.has_elements = model.scene, elements, elements is not None
         self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
-        on_device = springs.order in ("atomic", "ends")  # one thread of a GPU is slow
+        on_device = springs is not None and springs.order in ("atomic", "ends")  # one thread of a GPU is slow
         pay = len(free) >= FEWEST_BALLS
-        self.active, self.missing = pay and not on_device, pay and on_device
-        if not self.active:
+        self.active = pay and springs is not None and not on_device
+        self.missing = pay and not self.active
+        if springs is None or not self.active:
             return
         self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))
         own = bisected(scene.position[free], self.count)
@@ -97,6 +104,9 @@ class Aggregates:
         for e in range(c * dim * size, (c + 1) * dim * size):
             self.matrix[e] = 0.0
         own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
+        if ti.static(self.has_elements):
+            for e in range(self.begin[c], self.begin[c + 1]):
+                own += ti.cast(self.elements.crossing(self.member[e], self.aggregate), self.wide)
         for e in range(self.first[c], self.first[c + 1]):
             link = self.link[e]
             block = self.spring_block[link.spring]

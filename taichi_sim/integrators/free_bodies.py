@@ -1,5 +1,5 @@
-"""Bodies: balls that springs or a gas join. What a solver leaves of the momentum of free ones is given to them whole, and what it
-leaves of the energy of any is known."""
+"""Bodies: balls that springs, elements or a gas join. What a solver leaves of the momentum of free ones is given to them whole,
+and what it leaves of the energy of any is known."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +38,11 @@ class _Members:
 @ti.data_oriented
 class FreeBodies:
     """Shifts the velocities of each free body together, so that its momentum is what it should be: conjugate gradients find
-    this, the softest of all modes, last."""
+    this, the softest of all modes, last. ties: (k, 2) balls that elements join."""
 
-    def __init__(self, model: Model, fields: Fields) -> None:
+    def __init__(self, model: Model, ties: NDArray, fields: Fields) -> None:
         scene = model.scene
-        label = components(model.n, np.concatenate([scene.pairs, _gas_surfaces(scene)]))
+        label = components(model.n, np.concatenate([scene.pairs, ties, _gas_surfaces(scene)]))
         tied = np.zeros(model.n, dtype=bool)
         tied[label[scene.pinned]] = True
         single = np.bincount(label, minlength=model.n) == 1  # solved exactly anyway
@@ -116,13 +116,15 @@ class StageWork:
     pinned balls do not count. Sets two of a stage's numbers: `excess` [J], what bodies are given beyond what they may, and
     `gained`, the largest part of a body's kinetic energy that it was given beyond what the method takes.
 
-    worth: the part of the kinetic energy that is not rounding in the verdict on a solution.
+    ties: (k, 2) balls that elements join. worth: the part of the kinetic energy that is not rounding in the verdict on a
+    solution.
     """
 
-    def __init__(self, model: Model, fields: Fields, rounding: float, worth: float) -> None:
+    def __init__(self, model: Model, ties: NDArray, fields: Fields, rounding: float, worth: float) -> None:
         scene, self.model = model.scene, model
         self.rounding, self.worth = rounding, worth
-        joined = np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], _gas_surfaces(scene)])
+        ties = np.concatenate([scene.pairs, ties])
+        joined = np.concatenate([ties[~scene.pinned[ties].any(axis=1)], _gas_surfaces(scene)])
         members = _Members(components(model.n, joined), np.flatnonzero(~scene.pinned))
         self.bodies, self.parts = len(members.count), members.parts
         self.member, self.begin, self.part = map(fields.integers, (members.member, members.begin, members.part))

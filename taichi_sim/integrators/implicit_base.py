@@ -16,7 +16,7 @@ __all__ = ["Implicit"]
 
 @ti.data_oriented
 class Implicit(Integrator):
-    """A method of stages, each solved implicitly; springs and their damping are stable at any step.
+    """A method of stages, each solved implicitly; springs, elements and their damping are stable at any step.
 
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`,
     parts that move. `part`: the length of a stage in steps. `takes_gas`: gas is solved for together with springs. `opening`: how
@@ -44,21 +44,23 @@ class Implicit(Integrator):
     def allocate(self, fields: Fields) -> None:
         """The solver and its fields."""
         self.fresh = fields.integers(1)
-        self.has_springs = self.forces.springs is not None
-        gases = self.forces.take(Gases) if self.takes_gas and self.has_springs else None
-        self.solver = StageSolver(self.model, self.forces.springs, gases, fields, self)
+        elements = [one for one in self.forces.elements if one.implicit]
+        self.solves = self.forces.springs is not None or bool(elements)
+        gas = self.forces.of_kind(Gases) if self.takes_gas and self.solves else None
+        self.forces.take([gas, *elements])
+        self.solver = StageSolver(self.model, self.forces.springs, gas, elements, fields, self)
         self.launched = Launched(self.solver)
 
     def solver_report(self) -> SolverStatistics | None:
-        """Statistics from the numbers that the solver keeps; None without springs, where there is nothing to solve."""
-        if not self.has_springs:
+        """Statistics from the numbers that the solver keeps; None without springs and elements: nothing to solve."""
+        if not self.solves:
             return None
         n = self.solver.number[0]
         return SolverStatistics(self.tolerance, int(n.solved), int(n.passes), float(n.worst), int(n.misses))
 
     def counters(self) -> list[Any]:
         """The numbers that the solver keeps."""
-        return [self.solver.number] if self.has_springs else []
+        return [self.solver.number] if self.solves else []
 
     def remembers(self) -> bool:
         """True after the first step."""
@@ -72,7 +74,7 @@ class Implicit(Integrator):
     @ti.func
     def _forget(self, role: ti.template(), h, time):  # what the step before left is void
         self.fresh[0] = 1
-        if ti.static(self.has_springs):
+        if ti.static(self.solves):
             for i in range(self.model.n * self.stages):
                 self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
 
@@ -80,7 +82,7 @@ class Implicit(Integrator):
     def _solve_stages(self, role: ti.template(), h, time):
         for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
             self.begin(stage, h, time)
-            if ti.static(self.has_springs):
+            if ti.static(self.solves):
                 self.solver.solve(self.part * h, stage)
             else:
                 self._free()
@@ -91,7 +93,7 @@ class Implicit(Integrator):
         """Advance by one step of h seconds from the host, with loops that run in parallel."""
         for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
             self._begin(stage, h, time)
-            if self.has_springs:
+            if self.solves:
                 self.launched.solve(self.part * h, stage)
             else:
                 self._launch_free()
@@ -100,7 +102,7 @@ class Implicit(Integrator):
 
     @ti.func
     def _free(self):
-        """Solve the stage without springs."""
+        """Solve the stage where nothing is implicit."""
         for i in range(self.model.n):
             self.solver.first[i] = self.solver.base[i].v
             self.solver.base[i].v = self.solver.q[i]

@@ -1,5 +1,6 @@
-"""StageSolver: an implicit stage on springs by Newton's method and conjugate gradients, with no matrix."""
+"""StageSolver: an implicit stage on springs and elements by Newton's method and conjugate gradients, with no matrix."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.coarse_preconditioner import Aggregates
 from taichi_sim.integrators.free_bodies import FreeBodies, StageWork
+from taichi_sim.integrators.implicit_elements import StageElements
 from taichi_sim.integrators.implicit_gas import StageGas
 from taichi_sim.integrators.newton_decisions import (
     DOUBTFUL,
@@ -41,7 +43,7 @@ class StageSolver(Verdicts):
     """Solves m (q - v) + s F(p + s v, v) = 0 for the velocities v, see kernels.springs.newton_terms.
 
     Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `q` (n) [m/s]; `first` (n): the start.
-    Without springs v is q. gases: those that act in the stage, or None.
+    Without springs and elements v is q. gases, elements: those that act in the stage; elements give their derivatives.
     method: an Implicit; each of its `stages` starts with its change in the step before. `tolerance`: of the residual, in units of
     the impulses of the springs, both divided by the block diagonal of the matrix; less where the error of the method, of the
     given order, is less.
@@ -49,7 +51,8 @@ class StageSolver(Verdicts):
 
     solve = ti.func(solve_stage)
 
-    def __init__(self, model: Model, springs: Springs | None, gases: Any, fields: Fields, method: Any) -> None:
+    def __init__(self, model: Model, springs: Springs | None, gases: Any, elements: Sequence[Any],
+                 fields: Fields, method: Any) -> None:  # fmt: skip
         self.model, self.springs = model, springs
         self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
         self.n, self.dim = model.n, model.dim
@@ -57,32 +60,38 @@ class StageSolver(Verdicts):
         self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
         self.wide, self.gated = fields.wide, reductions.on_device()
         self.number = fields.table(dict.fromkeys(NUMBERS, self.wide), 1)
-        if springs is None:
+        self.active = springs is not None or len(elements) > 0
+        if not self.active:
             return
+        self.has_springs, self.has_elements = springs is not None, len(elements) > 0
+        self.elements = StageElements(elements, self.n, self.dim, fields) if elements else None
+        ties = self.elements.ties if self.elements is not None else np.zeros((0, 2), dtype=np.int64)
         scene, width = model.scene, padded_blocks.width(self.dim)
         self.sum, self.dv = (fields.vectors(self.n, self.dim) for _ in range(2))
         self.last = fields.vectors(self.n * stages, self.dim)
         self.ahead = fields.table(phase_type(width, fields.real), self.n)  # where the stage ends, padded
         vector = ti.types.vector(width, fields.real)
         block = {"r": vector, "along": fields.real, "across": fields.real}
-        self.spring_block = fields.table(block, springs.entries)
+        self.spring_block = fields.table(block, 0 if springs is None else springs.entries)
         self.product = Product(self, fields)
         self.residual = Residual(self)
         self.inverse_block = fields.matrices(self.n, self.dim)  # of the diagonal
-        start, _, spring = incidence(scene.pairs[springs.number], self.n)
+        pairs = scene.pairs if springs is None else scene.pairs[springs.number]
+        start, _, spring = incidence(pairs, self.n)
         self.start, self.own_spring = fields.integers(start), fields.integers(spring)
-        self.aggregates = Aggregates(model, springs, self.spring_block, fields)
+        self.aggregates = Aggregates(model, springs, self.spring_block, self.elements, fields)
         self.slow = self.aggregates.missing
         self.asked = self.tolerance * (SLOW_MODES_PART if self.slow else 1.0)
-        self.bodies = FreeBodies(model, fields)
+        self.bodies = FreeBodies(model, ties, fields)
         self.gas = None if gases is None else StageGas(gases, fields)
         self.inflated = gases is not None
         self.parts = parts_of(self.n)
         self.part = fields.table(dict.fromkeys(SUMS, self.wide), self.parts + groups_of(self.parts))
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rounding, self.finest = POTENTIAL_ROUNDING * eps, FINEST_SOLUTION * eps
-        self.work = StageWork(model, fields, self.rounding, MISSED_TOLERANCES * self.tolerance)
+        self.work = StageWork(model, ties, fields, self.rounding, MISSED_TOLERANCES * self.tolerance)
         self.least = max(self.tolerance**2, self.finest)
+        self.eps = eps
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
         self.rough = fields.reals(eps * np.sqrt(stiff))  # N/m: what rounding of a place makes of the forces on a ball
 
@@ -109,9 +118,20 @@ class StageSolver(Verdicts):
                 self.base[i].v = v
             self.ahead[i].x = padded_blocks.pad(self.base[i].x + s * v, self.dim)
             self.ahead[i].v = padded_blocks.pad(v, self.dim)
-        edge_blocks.sums(self.residual, self.springs, s)
+        self._sum_springs(self.residual, s)
         if ti.static(self.inflated):
             self.gas.push(self.base, self.product.sum, s)
+        if ti.static(self.has_elements):
+            self.elements.push(self.base, self.product.sum, s)
+
+    @ti.func
+    def _sum_springs(self, total: ti.template(), s):
+        """total.sum (n) = own terms and those of springs."""
+        if ti.static(self.has_springs):
+            edge_blocks.sums(total, self.springs, s)
+        else:
+            for i in range(self.n):
+                total.sum[i] = total.own(i)
 
     @ti.func
     def linearise(self, s, step):
@@ -155,14 +175,17 @@ class StageSolver(Verdicts):
             w = self.model.inverse_mass[i]
             inverse = ti.Matrix.zero(float, self.dim, self.dim)
             if w > 0.0:
-                inverse = self._inverse(i, w)
+                block = ti.Matrix.zero(float, self.dim, self.dim)
+                if ti.static(self.has_elements):
+                    block = self.elements.block(i)
+                inverse = self._inverse(i, w, block)
                 own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
                 f = r - own / w
                 residual += ti.cast(r.dot(inverse @ r), self.wide)
                 force += ti.cast(f.dot(inverse @ f), self.wide)
                 kinetic += ti.cast(ti.max(own.dot(own), whole.dot(whole)) / w, self.wide)
                 load += ti.cast(whole.dot(whole) / w, self.wide)
-                blur = s * self.rough[i] * ti.abs(self.base[i].x).max()
+                blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
                 noise += ti.cast(blur * blur * inverse.trace(), self.wide)
             self.inverse_block[i] = inverse
         self.part[c].residual = residual
@@ -172,11 +195,11 @@ class StageSolver(Verdicts):
         self.part[c].load = load
 
     @ti.func
-    def _inverse(self, i, w):
-        """Inverse of the diagonal's block for ball i of inverse mass w; in double precision, or stiff springs in a line would
-        make it indefinite."""
+    def _inverse(self, i, w, of_elements):
+        """Inverse of the diagonal's block for ball i of inverse mass w, with what elements have of it; in double precision, or
+        stiff springs in a line would make it indefinite."""
         across = 1.0 / ti.cast(w, self.wide)
-        along = ti.Matrix.zero(self.wide, self.dim, self.dim)
+        along = ti.cast(of_elements, self.wide)
         for k in range(self.start[i], self.start[i + 1]):
             block = self.spring_block[self.own_spring[k]]
             across += ti.cast(block.across, self.wide)
@@ -223,6 +246,8 @@ class StageSolver(Verdicts):
     @ti.func
     def compare(self, s, part):
         """The potential at the velocities and before `part` of the change was added."""
+        if ti.static(self.has_elements):
+            self.elements.take_back(self.base, self.dv, s, part)
         each_part(self.parts, self._sum_potentials, (s, part))
         join((self.part.potential, self.part.potential_before), self.parts)
         if ti.static(self.inflated):
@@ -245,6 +270,9 @@ class StageSolver(Verdicts):
             i = member(c, k, self.parts)
             now += ti.cast(self._potential(i, s, 0.0), self.wide)
             before += ti.cast(self._potential(i, s, part), self.wide)
+            if ti.static(self.has_elements):
+                now += self.elements.potential(self.elements.there, i, s)
+                before += self.elements.potential(self.elements.back, i, s)
         self.part[c].potential = now
         self.part[c].potential_before = before
 
@@ -254,11 +282,12 @@ class StageSolver(Verdicts):
         v = self.base[i].v - part * self.dv[i]
         x = self.base[i].x + s * v
         phi = 0.5 * self.mass(i) * (self.q[i] - v).norm_sqr()
-        for e in range(self.springs.start[i], self.springs.start[i + 1]):
-            spring = self.springs.spring[e]
-            u = self.base[spring.other].v - part * self.dv[spring.other]
-            r = self.base[spring.other].x + s * u - x
-            phi += newton_terms.potential(r, u - v, spring, s, self.springs.damped)
+        if ti.static(self.has_springs):
+            for e in range(self.springs.start[i], self.springs.start[i + 1]):
+                spring = self.springs.spring[e]
+                u = self.base[spring.other].v - part * self.dv[spring.other]
+                r = self.base[spring.other].x + s * u - x
+                phi += newton_terms.potential(r, u - v, spring, s, self.springs.damped)
         return phi
 
     # Newton's iterations
@@ -310,9 +339,11 @@ class StageSolver(Verdicts):
     @ti.func
     def search(self):
         """The best change along p; the next p conjugate to it."""
-        edge_blocks.sums(self.product, self.springs, 0.0)
+        self._sum_springs(self.product, 0.0)
         if ti.static(self.inflated):
             self.gas.multiply(self.product.p, self.product.sum)
+        if ti.static(self.has_elements):
+            self.elements.multiply(self.product.p, self.product.sum)
         each_part(self.parts, self._project, ())
         join((self.part.descent, self.part.curvature), self.parts)
         ti.loop_config(serialize=True)

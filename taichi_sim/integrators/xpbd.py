@@ -47,9 +47,10 @@ class XPBD(Integrator):
         self.notes_load = self.contacts.plan.walls
         if self.notes_load:
             self.start = fields.vectors(self.model.n, self.dim)
-        gases = self.forces.take(Gases) if self.active else None
+        gases = self.forces.of_kind(Gases) if self.active else None
         self.inflated = gases is not None
         if self.inflated:
+            self.forces.take([gases])
             self.gas = GasConstraints(gases, self.model, fields)
         self.at_once = self.active and self.springs.order == "atomic"
         self.in_batches = self.active and self.springs.order == "batches"

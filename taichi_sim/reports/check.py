@@ -88,21 +88,21 @@ def lines(sim: Simulation) -> Iterator[str]:
         longer = without(scene, used, limits.spring, custom)
         yield f"{f'without spring {limits.spring}':22}{_seconds(longer)} would be the safe step"
     yield ""
-    elements = any(element_rates(scene).plus(custom))  # explicit in every method
+    explicit = any(not np.isinf(stability(scene, method, None, custom).dt_any_shape) for method in STIFF)
     yield f"{'method':18} {'safe step':>11} {'at present':>11} {'passes over the forces per simulated second':>44}"
-    for method in dict.fromkeys((used, *EXPLICIT, *(STIFF if elements else ()))):
+    for method in dict.fromkeys((used, *EXPLICIT, *(STIFF if explicit else ()))):
         found = limits if method is used else stability(scene, method, sim.position, custom)
         step = found.dt_any_shape
         cost = f"{method.passes(scene, step) / step:.3g}" if 0 < step < np.inf and method not in STIFF else "-"
         yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>44}"
     stiff = ", ".join(map(str, STIFF))
-    if elements:
-        yield f"{stiff}: springs do not limit the step; cells and bending do, and gas does except with {IMPLICIT_EULER}"
+    if explicit:
+        yield f"{stiff}: springs do not limit the step; what a method takes explicitly does, see docs/physics.md"
     else:
         yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
-        yield f"All methods treat user-defined forces explicitly. The step that {names} needs is unknown; declare stiffness_rate"
+        yield f"The step that {names} needs is unknown; declare stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
 

@@ -102,6 +102,8 @@ class Element(Part):
     # whether a scene has what kernels are compiled for, in words
     features: ClassVar[Mapping[str, Callable[[Any], Any]]] = {}
 
+    # whether implicit methods solve for it: its kernels give the derivatives, see forces.incidence.Corners
+    is_implicit: bool = False
     gives_energy: bool = False  # or takes it: the energy of a scene with one does not stay
 
     def acts(self, scene: Any) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from speed_support import MadeUp, pair, plan
 
 import taichi_sim as ts
-from taichi_sim.analysis.element_rates import NO_RATES
+from taichi_sim.analysis.element_rates import Declared
 from taichi_sim.analysis.methods import VERLET
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.errors import SceneError
@@ -69,7 +69,7 @@ def test_check_knows_what_an_undamped_spring_allows():
         (1.5, f"above the bound of {safe:.4g} s may blow up; take {0.4 * safe:.4g} s"),
     ):
         settings = SimpleNamespace(integrator=SimpleNamespace(method=VERLET))
-        sim = SimpleNamespace(scene=scene, dt=part * safe, substeps=1, settings=settings, force_rates=NO_RATES)
+        sim = SimpleNamespace(scene=scene, dt=part * safe, substeps=1, settings=settings, force_rates=Declared())
         assert words in check._advice(sim, stability(scene, VERLET), 0.0)
 
 

@@ -1,0 +1,117 @@
+"""Elements that implicit methods solve for: bending, and a user's own."""
+
+import numpy as np
+import pytest
+import taichi as ti
+from physics_support import F64, simulate
+
+import taichi_sim as ts
+from taichi_sim.integrators import TRBDF2, ImplicitEuler
+
+STIFFNESS = 3e5  # N/m, for balls of some grams: omega h is some hundreds
+
+
+@ti.data_oriented
+class Curve(ts.Element):
+    """A bending element of three balls as a user writes it."""
+
+    def __init__(self, balls, stiffness):
+        self.balls, self.columns = balls, {"stiffness": stiffness}
+
+    @ti.func
+    def _weight(self, row):
+        return ti.select(row.corner == 1, -2.0, 1.0)
+
+    @ti.func
+    def force(self, ball: ti.template(), row, time):
+        bend = ball[row.a].x - 2.0 * ball[row.b].x + ball[row.c].x
+        return -row.stiffness * self._weight(row) * bend
+
+    @ti.func
+    def product(self, ball: ti.template(), row, s):
+        bend = ball[row.a].p - 2.0 * ball[row.b].p + ball[row.c].p
+        return s * s * row.stiffness * self._weight(row) * bend
+
+    @ti.func
+    def block(self, ball: ti.template(), row, s):
+        return s * s * row.stiffness * self._weight(row) ** 2 * ti.Matrix.identity(float, 3)
+
+    @ti.func
+    def potential(self, ball: ti.template(), row, s):
+        bend = ball[row.a].x - 2.0 * ball[row.b].x + ball[row.c].x
+        return row.stiffness * bend.dot(bend) / 6.0
+
+
+def rod(n=7, **bending):
+    """A rod of balls that bending alone holds together, bent and moving, its first two balls pinned."""
+    rng = np.random.default_rng(3)
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    x = np.stack([0.1 * np.arange(n), 0.002 * rng.normal(size=n), 0.002 * rng.normal(size=n)], axis=1)
+    v, mass = 0.3 * rng.normal(size=(n, 3)), rng.uniform(1e-3, 9e-3, n)
+    scene.add_balls(x, velocity=v, mass=mass, radius=0.01, pinned=[0, 1])
+    if bending:
+        threes = np.stack([np.arange(n - 2) + k for k in range(3)], axis=1)
+        scene.add_bending(threes[:, [1, 1, 0, 2]], weights=[[-1.0, -1.0, 1.0, 1.0]] * (n - 2), **bending)
+    return scene
+
+
+def stiffness_matrix(n):
+    second = np.zeros((n - 2, n))
+    for k in range(n - 2):
+        second[k, k : k + 3] = 1.0, -2.0, 1.0
+    return STIFFNESS * second.T @ second
+
+
+def test_a_step_of_implicit_euler_on_bending_is_the_solution_of_its_linear_equation():
+    scene, h = rod(stiffness=STIFFNESS), 0.02
+    method = ImplicitEuler(tolerance=1e-12 if F64 else 1e-6)
+    with simulate(scene, integrator=method, dt=h, contacts="off") as sim:
+        sim.step(1)
+        found = sim.velocity
+    m, k, x, v = scene.mass, stiffness_matrix(7), scene.position, scene.velocity
+    right = m[:, None] * (v + h * scene.gravity) - h * k @ x
+    free = slice(2, None)
+    exact = np.linalg.solve((np.diag(m) + h * h * k)[free, free], right[free])
+    assert np.abs(found[free] - exact).max() < (1e-9 if F64 else 1e-2) * np.abs(exact).max()
+    assert not found[:2].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [ImplicitEuler, TRBDF2])
+def test_an_element_of_the_user_moves_as_the_one_that_is_built_in(method):
+    runs = []
+    for forces in ((), (Curve([[k, k + 1, k + 2] for k in range(5)], STIFFNESS),)):
+        scene = rod() if forces else rod(stiffness=STIFFNESS)
+        with simulate(scene, forces=forces, integrator=method(tolerance=1e-5), dt=0.01, contacts="off") as sim:
+            assert sim.stability().dt_any_shape == np.inf
+            sim.step(20)
+            runs.append(sim.position)
+    assert np.abs(runs[0] - runs[1]).max() < 1e-5
+    assert np.abs(runs[0] - scene.position).max() > 1e-3  # they move
+
+
+@pytest.mark.once
+def test_some_of_the_derivatives_are_refused():
+    class Half(Curve):
+        block = potential = None
+
+    with pytest.raises(ts.SceneError, match=r"Half.product: is given without block, potential"):
+        ts.Simulation(rod(), forces=[Half([[0, 1, 2]], 1.0)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_a_stiff_sheet_stays_bounded_at_the_step_of_a_frame(method):
+    """A sheet that bends a thousand times as stiffly as a step of verlet of this length allows, springs and damping beside."""
+    scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+    sheet = {"mass_per_area": 0.3, "stretch_stiffness": 900.0, "bending_rigidity": 0.02, "damping": 1e-3}
+    ts.shapes.cloth(scene, (0.6, 0.9), (9, 12), rotation=(0.2, 0.0, 0.3), **sheet)
+    scene.set_bending(damping=0.02)
+    with simulate(scene, integrator=method, dt=1 / 60, contacts="off") as sim:
+        assert sim.stability().dt_any_shape == np.inf
+        sim.set_velocity(np.random.default_rng(1).normal(size=(scene.n_balls, 3)))
+        start, momentum = sim.energy().total, sim.momentum()
+        for _ in range(4):
+            sim.step(15)
+            assert sim.energy().total < start
+        assert np.abs(sim.momentum() - momentum).max() < 1e-4 * np.abs(momentum).max()
