@@ -172,6 +172,15 @@ def test_largest_rate_is_a_bound_that_is_near() -> None:
             assert rate * (1 - 1e-9) < found / ROOM < 2 * rate
 
 
+@pytest.mark.once
+def test_bricks_come_back_from_a_file(tmp_path) -> None:
+    scene = block(3, viscosity=0.4)
+    scene.save(tmp_path / "bricks.toml")
+    again = ts.load_scene(tmp_path / "bricks.toml")
+    for name in ("bricks", "brick_modulus", "brick_ratio", "brick_viscosity", "brick_size"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(scene, name))
+
+
 def test_a_brick_that_is_turned_inside_out_comes_back() -> None:
     """Flat, inside out and scrambled at the start; none of them at rest."""
     points, corners = lattice((3, 3, 3))
