@@ -394,7 +394,10 @@ def again(arrays=None, values=None):
 
 
 def test_a_scene_comes_back_from_its_document():
-    assert {part.name for part in PARTS} - VALUES.keys() == {"attachments"}  # which become springs
+    assert {part.name for part in PARTS} - VALUES.keys() == {
+        "attachments",
+        "bricks",
+    }  # which become springs; see test_bricks
     scene = again()
     values, arrays = document(scene)
     assert values == VALUES

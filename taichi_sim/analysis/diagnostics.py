@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Contacts
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.bricks import corner_volumes
 from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.elements import ELEMENTS
@@ -125,8 +126,9 @@ def check_tearing(scene: Scene) -> None:
 
 
 def inverted(scene: Scene, x: Floats) -> int:
-    """Number of cells that are flat or turned inside out. x: (n, dim) [m]."""
-    return int(np.count_nonzero(cell_volumes(x, scene.cells) <= 0.0)) if len(scene.cells) else 0
+    """Number of cells and bricks that are flat or turned inside out, bricks at any corner. x: (n, dim) [m]."""
+    cells, bricks = cell_volumes(x, scene.cells) <= 0.0, corner_volumes(x, scene.bricks) <= 0.0
+    return int(np.count_nonzero(cells) + np.count_nonzero(bricks.any(axis=1)))
 
 
 def momentum(scene: Scene, v: Floats) -> Floats:

@@ -13,6 +13,7 @@ from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.gases import volume_gradient
 from taichi_sim.scene.part import Element, Quadratic
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.wind import WIND
 
 __all__ = [
     "NO_RATES",
@@ -70,8 +71,8 @@ def element_rates(scene: Scene, solved: Collection[Element] = ()) -> Rates:
     further = [one.further_rates(scene) for one in there]
     elastic = _largest([kind for one in there for kind in one.stiffness(scene)], root, scene.dim)
     damping = _largest([kind for one in there for kind in one.damping(scene)], root, scene.dim)
-    drag = sum((rate for _, rate in further), 0.0)
-    return Rates(elastic + sum((rate for rate, _ in further), 0.0), damping + drag, drag)
+    drag = WIND.further_rates(scene)[1] if WIND.count(scene) else 0.0
+    return Rates(elastic + sum(rate for rate, _ in further), damping + sum(rate for _, rate in further), drag)
 
 
 def declared_rates(scene: Scene, forces: Sequence[Any]) -> Declared:

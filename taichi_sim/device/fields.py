@@ -183,11 +183,15 @@ class Fields:
     ) -> Any:
         """n rows of a struct, members side by side, or column after column. columns: name to Taichi type (a scalar or a vector
         type)."""
-        width = sum(getattr(t, "n", 1) * (4 if t == ti.i32 else self._size) for t in columns.values())
+        width = sum(
+            getattr(t, "n", 1) * (4 if getattr(t, "dtype", t) == ti.i32 else self._size) for t in columns.values()
+        )
         typed = None
         if data is not None and n:
             typed = {
-                name: np.ascontiguousarray(data[name], dtype=np.int32) if t == ti.i32 else self._cast(data[name], name)
+                name: np.ascontiguousarray(data[name], dtype=np.int32)
+                if getattr(t, "dtype", t) == ti.i32
+                else self._cast(data[name], name)
                 for name, t in columns.items()
             }
         kind = tuple((name, str(getattr(t, "dtype", t)), getattr(t, "n", 0)) for name, t in columns.items())

@@ -35,6 +35,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
 from taichi_sim.forces.bending import Bending
+from taichi_sim.forces.bricks import Bricks
 from taichi_sim.forces.cells import Cells
 from taichi_sim.forces.element import Element
 from taichi_sim.forces.gas import Gases
@@ -51,6 +52,7 @@ __all__ = ["TotalForce", "checked_forces"]
 KERNELS: Mapping[str, Any] = {
     "membranes": Membranes,
     "cells": Cells,
+    "bricks": Bricks,
     "bending": Bending,
     "gases": Gases,
     "wind": Wind,
@@ -59,8 +61,8 @@ KERNELS: Mapping[str, Any] = {
 
 @ti.data_oriented
 class TotalForce:
-    """Gravity, springs, the scene's elements (cells, bending, gas, wind) and the user's forces. What the scene lacks compiles to
-    nothing."""
+    """Gravity, springs, the scene's elements (cells, bricks, bending, gas, wind) and the user's forces. What the scene lacks
+    compiles to nothing."""
 
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         self.model, self.n = model, model.n

@@ -100,7 +100,7 @@ class Column(property):
 
 def tables_of(kind: type, dim: int) -> dict[str, Table]:
     """The tables of a scene, without rows, with the columns that its class and those that it is made of declare."""
-    sizes = {"dim": dim, "dim + 1": dim + 1}
+    sizes = {"dim": dim, "dim + 1": dim + 1, "2 ** dim": 2**dim}
     columns: dict[str, dict[str, NDArray]] = {}
     for base in reversed(kind.__mro__):
         for one in vars(base).values():

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.bending import BENDING, BendingMethods
+from taichi_sim.scene.bricks import BRICKS, BrickMethods
 from taichi_sim.scene.cells import CELLS, CellMethods
 from taichi_sim.scene.gases import GASES, GasMethods
 from taichi_sim.scene.membranes import MEMBRANES, MembraneMethods
@@ -19,10 +20,10 @@ from taichi_sim.scene.wind import WIND, WindMethods
 
 __all__ = ["ELEMENTS", "Elements"]
 
-ELEMENTS: tuple[Element, ...] = (MEMBRANES, CELLS, BENDING, GASES, WIND)
+ELEMENTS: tuple[Element, ...] = (MEMBRANES, CELLS, BRICKS, BENDING, GASES, WIND)
 
 
-class Elements(MembraneMethods, CellMethods, BendingMethods, GasMethods, WindMethods):
+class Elements(MembraneMethods, CellMethods, BrickMethods, BendingMethods, GasMethods, WindMethods):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def has_elements(self) -> bool:

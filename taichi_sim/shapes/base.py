@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,7 +43,13 @@ SURFACE_PART = (
 )  # of the usual radius, 0.45 of a spacing: triangles that collide need no balls without gaps between
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
-BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES = 800, 130, 250, 400  # at most, while built and made to run
+BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES, BRICK_BYTES = (
+    800,
+    130,
+    250,
+    400,
+    600,
+)  # at most, while built and made to run
 LITTLE = 100_000  # bytes that there always are
 DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
 
@@ -68,6 +74,12 @@ class Shape:
     springs: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (m,)
     triangles: NDArray[np.int32] = field(default_factory=lambda: _none(0, 3))  # (t, 3), counter-clockwise from outside
     cells: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (c,)
+    bricks: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (b,)
+
+    @classmethod
+    def of(cls, parts: Sequence[Shape]) -> Shape:
+        """All parts as one."""
+        return cls(*(np.concatenate([getattr(one, each.name) for one in parts]) for each in fields(cls)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +119,16 @@ class Cells(NamedTuple):
     crush_modulus: NDArray[np.float64]  # (c,) the same
     rest_volume: NDArray[np.float64]  # (c,) m^dim
     together: NDArray[np.int64] | None = None  # (c,)
+
+
+class Bricks(NamedTuple):
+    """Bricks within a shape, as `Scene.add_bricks` takes them."""
+
+    corners: NDArray[np.int64]  # (b, 2^dim) of its balls
+    young_modulus: float
+    poisson_ratio: float
+    viscosity: float
+    rest_size: NDArray[np.float64]  # (dim,) m
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,10 +205,13 @@ def with_preset(
     return {name: known.get(name) if value is None else value for name, value in given.items()}
 
 
-def affordable(where: str, value: Any, balls: float, springs: float, cells: float = 0.0, bends: float = 0.0) -> None:
+def affordable(
+    where: str, value: Any, balls: float, springs: float, cells: float = 0.0, bends: float = 0.0, bricks: float = 0.0
+) -> None:
     """Raise SceneError where building and running a shape of so many parts needs more memory than there is."""
     balls, springs = float(balls), float(springs)
     need = balls * BALL_BYTES + springs * SPRING_BYTES + cells * CELL_BYTES + bends * BEND_BYTES
+    need += bricks * BRICK_BYTES
     if need < LITTLE:
         return
     free = available()
@@ -285,6 +310,7 @@ def build(
     stretched: NDArray | None = None,
     bends: Bends | None = None,
     cells: Cells | None = None,
+    bricks: Bricks | None = None,
     break_strain: float | None = None,
     uv: NDArray | None = None,
 ) -> Shape:
@@ -341,7 +367,9 @@ def build(
         scene.add_triangles(faces, collides=part.surface_collision)
         if bends is not None and bends.stiffness.any():
             scene.add_bending(balls[bends.corners], weights=bends.weights, stiffness=bends.stiffness, hinge=bends.hinge)
-        if cells is None or not len(cells.corners):
-            return Shape(balls, springs, faces)
-        more = cells._asdict()
-        return Shape(balls, springs, faces, scene.add_cells(balls[more.pop("corners")], **more))
+        filled = {}
+        for name, add, some in (("cells", scene.add_cells, cells), ("bricks", scene.add_bricks, bricks)):
+            if some is not None and len(some.corners):
+                more = some._asdict()
+                filled[name] = add(balls[more.pop("corners")], **more)
+        return Shape(balls, springs, faces, **filled)

@@ -15,11 +15,14 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.bricks import MOST_RATIO, lame, rates_at_rest
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import jelly_material
 from taichi_sim.shapes.base import (
+    DAMPING_RATIO,
     SAFE_MARGIN,
     SAFE_STEP,
+    Bricks,
     Cells,
     Part,
     Pins,
@@ -46,6 +49,10 @@ MESH_RATIO = 0.4  # Poisson's, of a filled mesh
 FLAT_MESH = 1e-6  # of its longest side: a mesh that is thinner is no body
 DEFAULT_BOXES = 16  # along the longest side of a mesh
 FILLS = ("voxels", "tetrahedra")
+EDGE_SHEAR = {
+    2: 0.5,
+    3: 0.8,
+}  # shear modulus of a lattice of springs with edges of 1 N/m, in parts of that over the spacing
 CRUSH = 3.0  # times the shear modulus: the crush modulus of its cells
 BALL_SHARE = 0.25  # radius of a filled mesh's balls, of its spacing
 
@@ -79,13 +86,13 @@ def jelly(
 ) -> Shape:
     """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
 
-    Springs run along the edges and the diagonals of faces and cells, their stiffness in the ratio that makes the
+    With any of density, young_modulus and poisson_ratio it is made of a material and the same at every resolution: its boxes are
+    bricks, see Scene.add_bricks, and balls weigh what the volume around them does. A mesh keeps its coordinates, is always of a
+    material, and shows its own surface.
+
+    Otherwise springs run along the edges and the diagonals of faces and cells, their stiffness in the ratio that makes the
     lattice elastic alike in all directions (see `_lattice`). In 3D the surface has triangles. Ball (i, j, k) has
     index (i * resolution[1] + j) * resolution[2] + k.
-
-    With any of density, young_modulus and poisson_ratio it is made of a material and the same at every resolution: balls weigh
-    what the volume around them does, springs on the surface count by their share, and cells keep the volume as the ratio asks.
-    A mesh keeps its coordinates, is always of a material, and shows its own surface.
 
     Args:
         size: along each axis [m], 0.4 by default; resolution: balls per axis, at least 2, 8 by default.
@@ -97,10 +104,12 @@ def jelly(
             above what is stable at 1 ms.
         density: in place of mass [kg/m^3, in 2D kg/m^2].
         young_modulus: how stiff it is when pulled [Pa, in 2D N/m]. By default as for stiffness.
-        poisson_ratio: how much it narrows when pulled [1], from that of springs, 1/4 (in 2D 1/3), the default, to less than 1/2
-            (in 2D 1): cells keep the volume. 0.4 for a mesh.
+        poisson_ratio: how much it narrows when pulled [1], 0 to 0.4999 (in 2D 0.9996); 1/4 (in 2D 1/3) by default, 0.4 for a
+            mesh. In 2D modulus and ratio are those of a sheet in its plane, see Scene.add_bricks.
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
-            the package pytetwild, which takes closed meshes alone and, each time, other points.
+            the package pytetwild, which takes closed meshes alone and, each time, other points. Tetrahedra are made of springs
+            and cells, at ratios from 1/4 on.
+        damping: of each spring [N s/m]. In a material the viscosity that springs of such damping along all edges would give.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
         radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
@@ -135,6 +144,7 @@ def jelly(
             guarded = strength if stiffness is None else 0.0
             cells = cells._replace(crush_modulus=guarded * cells.crush_modulus)
             return build(scene, "jelly", points, kinds, triangles, part, strength, drag, cells=cells)
+        body: jelly_material.Solid | jelly_material.Boxes
         body, extent, default_radius = _solid_block(block, factor)
         volume, skin = float(np.prod(extent)), None
         default_radius *= thinner
@@ -186,7 +196,7 @@ def jelly(
 def of_body(
     scene: Scene,
     shape: str,
-    body: jelly_material.Solid,
+    body: jelly_material.Solid | jelly_material.Boxes,
     mass: float,
     height: float,
     default_radius: float,
@@ -203,23 +213,38 @@ def of_body(
     bounded: bool = True,
     **placed: Any,
 ) -> Shape:
-    """Add a jelly of springs and cells; shape: its name in messages. mass: of all of it [kg]; height: m, for the default of
-    Young's modulus; bounded: that default is stable at 1 ms. The rest as for `jelly`; placed: velocity, position and the like.
+    """Add a jelly of a material; shape: its name in messages. mass: of all of it [kg]; height: m, for the default of Young's
+    modulus; bounded: that default is stable at 1 ms. The rest as for `jelly`; placed: velocity, position and the like.
     """
     if surface_collision and scene.dim == 2:
         raise SceneError(f"{shape}.surface_collision", says="needs a scene with dim = 3")
     masses = body.volume * (mass / float(body.volume.sum()))
     ratio = 1 / (scene.dim + 1) if poisson_ratio is None else poisson_ratio
-    unit = jelly_material.moduli(shape, scene.dim, 1.0, ratio)
-    modulus = or_default(f"{shape}.young_modulus", young_modulus, _wobbly(body, masses, height, unit, bounded))
-    mu, bulk = modulus * unit[0], modulus * unit[1]
-    share = np.full(len(body.cells), body.cell_share)
-    cells = Cells(body.cells, bulk * share, CRUSH * mu * share, body.cell_volume, body.together)
+    least = 0.0 if isinstance(body, jelly_material.Boxes) else 1 / (scene.dim + 1) - 1e-9  # that of springs
+    ratio = validation.number(f"{shape}.poisson_ratio", ratio, low=least, high=MOST_RATIO[scene.dim])
+    modulus = or_default(f"{shape}.young_modulus", young_modulus, _wobbly(body, masses, height, ratio, bounded))
+    drag = at_least_0(f"{shape}.damping", damping)
     ball_radius = or_default(f"{shape}.radius", radius, default_radius)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
+    mu, lam = lame(scene.dim, modulus, ratio)
+    if isinstance(body, jelly_material.Boxes):
+        viscosity = _viscosity(body, mu, float(masses.sum() / body.volume.sum()), drag)
+        bricks = Bricks(body.bricks, modulus, ratio, viscosity, body.size)
+        return build(scene, shape, body.points, [], body.triangles, part, 0.0, None, bricks=bricks)
+    more = np.full(len(body.cells), max(0.0, lam - mu))
+    cells = Cells(body.cells, more, np.full(len(body.cells), CRUSH * mu), body.cell_volume)
     kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
-    drag = at_least_0(f"{shape}.damping", damping)
     return build(scene, shape, body.points, kinds, body.triangles, part, 0.0, drag, cells=cells)
+
+
+def _viscosity(body: jelly_material.Boxes, mu: float, density: float, drag: float | None) -> float:
+    """Viscosity [Pa s, in 2D N s/m] of a lattice of springs with the damping `drag` [N s/m] of its edges, see `_lattice`; None: a
+    tenth of what is critical for two balls."""
+    dim, shear = len(body.size), EDGE_SHEAR[len(body.size)]
+    side = float(np.prod(body.size)) ** (1 / dim)
+    if drag is None:
+        drag = DAMPING_RATIO * 2 * math.sqrt(mu * side ** (dim - 2) / shear * density * side**dim / 2)
+    return shear * drag * side ** (2 - dim)
 
 
 # Blocks ------------------------------------------------------------------------------------------------------------
@@ -273,37 +298,42 @@ def _lattice(number: tuple[int, ...]) -> tuple[list[Springs], float]:
     return [Springs(edges, 1.0), Springs(faces, 0.6), Springs(cells, 0.15)], 2.4
 
 
-def _solid_block(block: tuple, factor: float) -> tuple[jelly_material.Solid, NDArray[np.float64], float]:
+def _solid_block(block: tuple, factor: float) -> tuple[jelly_material.Boxes, NDArray[np.float64], float]:
     extent, number = block[0] * factor, block[1]
     spacing = extent / (np.array(number) - 1)
     filled = np.ones([n - 1 for n in number], dtype=bool)
-    return jelly_material.lattice("jelly", filled, spacing), extent, 0.45 * float(spacing.min())
+    return jelly_material.lattice(filled, spacing), extent, 0.45 * float(spacing.min())
 
 
 def _wobbly(
-    body: jelly_material.Solid, masses: NDArray, height: float, unit: tuple[float, float], bounded: bool
+    body: jelly_material.Solid | jelly_material.Boxes, masses: NDArray, height: float, ratio: float, bounded: bool
 ) -> float:
     """The default of Young's modulus: waves at sqrt(40 g height), and never above what is stable at 1 ms with a margin.
 
-    unit: mu and lambda - mu for a modulus of 1. Of tetrahedra a few small ones would make all of it soft: no bound for them.
+    Of tetrahedra a few small ones would make all of it soft: no bound for them.
     """
-    mu, bulk = unit
-    soft = WOBBLE * height * float(masses.sum() / body.volume.sum()) / (3 * mu + bulk)
+    dim, density = body.points.shape[1], float(masses.sum() / body.volume.sum())
+    mu, lam = lame(dim, 1.0, ratio)
+    soft = WOBBLE * height * density / (2 * mu + lam)
     if not bounded:
         return soft
-    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * jelly_material.largest_rate(body, masses, mu, bulk)))
+    if isinstance(body, jelly_material.Boxes):
+        rate = rates_at_rest(body.size, 1.0, ratio)[0] / (density / 2**dim)
+    else:
+        rate = jelly_material.largest_rate(body, masses, mu, max(0.0, lam - mu))
+    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * rate))
 
 
 # Meshes ------------------------------------------------------------------------------------------------------------
 
 
-def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid, tuple[NDArray, NDArray]]:
+def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Boxes, tuple[NDArray, NDArray]]:
     low, extent = surface.vertices.min(axis=0), np.ptp(surface.vertices, axis=0)
     number = np.maximum(1, np.ceil(extent / step - 1e-9))
     boxes = float(np.prod(number))
     part = min(1.0, abs(meshes.volume(surface)) / max(1e-300, float(np.prod(extent))))
     balls = boxes * max(part, 0.05)
-    affordable("jelly.spacing", step, balls, 13 * balls, cells=2 * balls)
+    affordable("jelly.spacing", step, balls, 0, bricks=balls)
     shape = tuple(int(n) for n in number)
     low = low - 0.5 * (number * step - extent)
     filled = jelly_material.connected(jelly_material.inside(surface, low, step, shape))
@@ -317,7 +347,7 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid,
             " result, or mend the mesh",
             stacklevel=4,
         )
-    body = jelly_material.lattice("jelly", filled, np.full(3, step))
+    body = jelly_material.lattice(filled, np.full(3, step))
     return body._replace(points=body.points + low), jelly_material.skin_of_boxes(
         filled, (surface.vertices - low) / step
     )

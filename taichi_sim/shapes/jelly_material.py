@@ -1,7 +1,8 @@
-"""Solids: lattices of springs with given moduli, cells that keep the volume, tetrahedra in a mesh. Imports no Taichi.
+"""Solids: boxes of a lattice, tetrahedra in a mesh. Imports no Taichi.
 
-A spring network has Lame's first constant lambda = mu (in 3D Poisson's ratio 1/4, in 2D 1/3): its springs give mu, and cells
-with the bulk modulus lambda - mu what a larger ratio asks for. See physics.md, "Elastic bodies".
+Boxes are bricks of the material. Tetrahedra have springs along their edges, for Lame's first constant lambda = mu (in 3D
+Poisson's ratio 1/4, in 2D 1/3), and cells with the bulk modulus lambda - mu for what a larger ratio asks for. See physics.md,
+"Elastic bodies".
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.scene.cells import cell_volumes
 
 __all__ = [
+    "Boxes",
     "Solid",
     "box_cells",
     "box_surface",
@@ -29,7 +30,6 @@ __all__ = [
     "inside",
     "largest_rate",
     "lattice",
-    "moduli",
     "skin_of_boxes",
     "skin_of_tetrahedra",
     "springs_of",
@@ -37,9 +37,6 @@ __all__ = [
     "tetrahedra",
 ]
 
-CELL_DIAGONALS = (
-    0.25  # their part of mu, along the sides where it is largest: a cubic lattice then has k, 0.6 k, 0.15 k
-)
 ENVELOPE = (
     0.1  # of the spacing, how far tetrahedra may leave a surface: nearer ones are thin and many, and the skin hides it
 )
@@ -52,84 +49,53 @@ CROSSING: dict[
 }
 
 
-class Solid(NamedTuple):
-    """A body: n points, m springs, c cells. What is given per unit modulus is multiplied by mu, or by lambda - mu [Pa]."""
+class Boxes(NamedTuple):
+    """A body of bricks, all with the same sides."""
 
     points: NDArray[np.float64]  # (n, dim) m
     volume: NDArray[np.float64]  # (n,) m^dim, of each point
+    triangles: NDArray[np.int64]  # (t, 3) the surface; none in 2D
+    bricks: NDArray[np.int64]  # (b, 2^dim)
+    size: NDArray[np.float64]  # (dim,) m
+
+
+class Solid(NamedTuple):
+    """A body of m springs and c cells. What is given per unit modulus is multiplied by mu, or by lambda - mu [Pa]."""
+
+    points: NDArray[np.float64]  # (n, dim) m
+    volume: NDArray[np.float64]  # (n,) m^dim, of each point
+    triangles: NDArray[np.int64]  # (t, 3) the surface; none in 2D
     pairs: NDArray[np.int64]  # (m, 2)
     stiffness: NDArray[np.float64]  # (m,) N/m for mu = 1
     cells: NDArray[np.int64]  # (c, dim + 1), of positive volume
     cell_volume: NDArray[np.float64]  # (c,) m^dim
-    cell_share: float  # of the bulk modulus, in each cell: cells that cross share it
-    triangles: NDArray[np.int64]  # (t, 3) the surface; none in 2D
-    together: NDArray[np.int64] | None = None  # (c,) cells with the same number act as one
-
-
-def moduli(where: str, dim: int, young_modulus: float, poisson_ratio: float) -> tuple[float, float]:
-    """mu and lambda - mu [Pa, in 2D N/m] of an elastic body. Raises SceneError for a ratio that springs cannot have."""
-    least, most = 1 / (dim + 1), 1 / (dim - 1)
-    nu = validation.number(f"{where}.poisson_ratio", poisson_ratio)
-    if not least - 1e-9 <= nu < most:
-        allowed = f"at least {least:.4g}, that of springs alone, and less than {most:g}"
-        raise SceneError(f"{where}.poisson_ratio", poisson_ratio, allowed)
-    mu = young_modulus / (2 * (1 + nu))
-    return mu, max(0.0, mu * (2 * nu / (1 - (dim - 1) * nu) - 1))
 
 
 # Lattices ----------------------------------------------------------------------------------------------------------
 
 
-def lattice(where: str, filled: NDArray[np.bool_], spacing: NDArray[np.float64]) -> Solid:
-    """The springs and cells of those boxes of a lattice, `filled` (a, b[, c]), that belong to the body. spacing: (dim,) m.
-
-    Each box gives its sides and diagonals their share, so that what lies on the surface counts by its part of the boxes around.
-    Two tetrahedra cross in each box, its even and its odd corners, which share its bulk modulus: the five or six that tile it
-    stiffen against bending several times as much. In 2D the four triangles of both diagonals do, together: what changes is the
-    volume of the box alone, since a triangle that keeps its own would not let it bend.
-    """
-    dim, a = filled.ndim, spacing
+def lattice(filled: NDArray[np.bool_], spacing: NDArray[np.float64]) -> Boxes:
+    """Those boxes of a lattice, `filled` (a, b[, c]), that belong to a body. spacing: (dim,) m."""
+    dim, first = filled.ndim, np.argwhere(filled)
     number = tuple(n + 1 for n in filled.shape)
-    index = np.arange(int(np.prod(number))).reshape(number)
-    strength = _strengths(where, a)
-    pairs, stiffness = [], []
-    for step in itertools.product((-1, 0, 1), repeat=dim):
-        if step <= (0,) * dim:
-            continue  # each direction once
-        share = filled.astype(np.float64)
-        for axis, s in enumerate(step):
-            if s == 0:
-                share = _averaged(share, axis)
-        here = index[tuple(slice(1, None) if s < 0 else slice(0, n - (s > 0)) for s, n in zip(step, number))]
-        there = index[tuple(slice(0, -1) if s < 0 else slice(s, None) for s in step)]
-        some = share > 0
-        pairs.append(np.stack([here[some], there[some]], axis=1))
-        stiffness.append(strength[tuple(abs(s) for s in step)] * share[some])
-    part = filled.astype(np.float64)
-    for axis in range(dim):
-        part = _averaged(part, axis)
-    used = np.flatnonzero(part.ravel() > 0)
-    new = np.zeros(index.size, dtype=np.int64)
-    new[used] = np.arange(len(used))
-    cells, volume, cell_share, together = box_cells(filled, a)
-    return Solid(
-        np.stack(np.unravel_index(used, number), axis=1) * a,
-        part.ravel()[used] * float(np.prod(a)),
-        new[np.concatenate(pairs)],
-        np.concatenate(stiffness),
-        new[cells],
-        volume,
-        cell_share,
-        new[box_surface(filled)] if dim == 3 else np.zeros((0, 3), dtype=np.int64),
-        together,
+    corners = itertools.product((0, 1), repeat=dim)
+    places = np.stack([np.ravel_multi_index(tuple((first + c).T), number) for c in corners], axis=1)
+    used, bricks = np.unique(places, return_inverse=True)
+    bricks = bricks.reshape(places.shape)
+    return Boxes(
+        np.stack(np.unravel_index(used, number), axis=1) * spacing,
+        np.bincount(bricks.ravel()) * float(np.prod(spacing)) / 2**dim,
+        np.searchsorted(used, box_surface(filled)) if dim == 3 else np.zeros((0, 3), dtype=np.int64),
+        bricks,
+        spacing,
     )
 
 
 def box_cells(
     filled: NDArray[np.bool_], spacing: NDArray[np.float64]
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], float, NDArray[np.int64] | None]:
-    """Cells of the boxes of a lattice that are filled, as a `Solid` has them, of points that count along the last axis fastest:
-    corners (c, dim + 1), volumes (c,) [m^dim], the share of a modulus in each, and which act together."""
+    """Cells of the boxes of a lattice that are filled, of points that count along the last axis fastest: corners (c, dim + 1),
+    volumes (c,) [m^dim], the share of a modulus in each, since they cross, and which act together."""
     dim, first = filled.ndim, np.argwhere(filled)
     number = tuple(n + 1 for n in filled.shape)
     places = [[np.ravel_multi_index(tuple((first + c).T), number) for c in corners] for corners in CROSSING[dim]]
@@ -147,40 +113,6 @@ def _averaged(values: NDArray, axis: int) -> NDArray:
     lower, upper = list(ends), list(ends)
     lower[axis], upper[axis] = slice(None, -1), slice(1, None)
     return 0.5 * (wide[tuple(lower)] + wide[tuple(upper)])
-
-
-def _strengths(where: str, a: NDArray[np.float64]) -> dict[tuple[int, ...], float]:
-    """Stiffness for mu = 1 by direction (1 for each axis along which a spring runs) of an isotropic lattice of boxes a (dim,) m.
-
-    A box of volume V adds k L^2 n_i n_j n_k n_l / V for each spring to C_ijkl: that must be 3 mu for C_iiii and mu for C_iijj.
-    """
-    dim, volume, square = len(a), float(np.prod(a)), a * a
-    planes = [(i, j) for i in range(dim) for j in range(i + 1, dim)]
-    result: dict[tuple[int, ...], float] = {}
-    along = np.zeros(dim)  # of C_iiii, in the diagonals
-    diagonal = 0.0
-    if dim == 3:
-        length = float(square.sum())
-        diagonal = CELL_DIAGONALS * volume * length / (4 * max(square[i] * square[j] for i, j in planes))
-        result[1, 1, 1] = diagonal
-        along += 4 * diagonal * square**2 / (length * volume)
-    for i, j in planes:
-        length = float(square[i] + square[j])
-        left = 1.0 - (4 * diagonal * square[i] * square[j] / (square.sum() * volume) if dim == 3 else 0.0)
-        k = left * length * volume / (2 * square[i] * square[j])
-        result[tuple(int(axis in (i, j)) for axis in range(dim))] = float(k)
-        along[i] += 2 * k * square[i] ** 2 / (length * volume)
-        along[j] += 2 * k * square[j] ** 2 / (length * volume)
-    for i in range(dim):
-        k = (3.0 - along[i]) * volume / square[i]
-        if k < 0:
-            raise SceneError(
-                f"{where}.resolution",
-                says=f"gives boxes of {' x '.join(f'{side:.3g}' for side in a)} m, too unlike in their sides for an elastic"
-                " lattice; choose one with sides about equal",
-            )
-        result[tuple(int(axis == i) for axis in range(dim))] = float(k)
-    return result
 
 
 def box_surface(filled: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -308,7 +240,7 @@ def largest_rate(body: Solid, masses: NDArray, mu: float, bulk: float) -> float:
         return rate
     x = body.points[body.cells]
     size = np.stack([_opposite(np.delete(x, k, axis=1)) for k in range(x.shape[1])], axis=1)  # |dV/dx|
-    row = bulk * body.cell_share / body.cell_volume[:, None] * size * size.sum(axis=1, keepdims=True)
+    row = bulk / body.cell_volume[:, None] * size * size.sum(axis=1, keepdims=True)
     return rate + float((np.bincount(body.cells.ravel(), row.ravel(), minlength=len(masses)) / masses).max())
 
 
@@ -336,7 +268,7 @@ def springs_of(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Solid:
     square = np.sum((points[pairs[:, 1]] - points[pairs[:, 0]]) ** 2, axis=1)
     each: NDArray = np.bincount(cells.ravel(), np.repeat(volume / corners, corners), minlength=len(points))
     surface = surface_of(cells) if corners == 4 else np.zeros((0, 3), dtype=np.int64)
-    return Solid(points, each, pairs, (2.5 if corners == 4 else 8 / 3) * around / square, cells, volume, 1.0, surface)
+    return Solid(points, each, surface, pairs, (2.5 if corners == 4 else 8 / 3) * around / square, cells, volume)
 
 
 def surface_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:

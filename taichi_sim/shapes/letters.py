@@ -177,9 +177,7 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
                     made.append(_jelly(scene, shape, body, height, spacing, given, looks, placed))
         if kind != "collider":
             _pin(scene, shape, made, own, faces, given["pinned"])
-    return Shape(
-        *(np.concatenate([getattr(one, name) for one in made]) for name in ("balls", "springs", "triangles", "cells"))
-    )
+    return Shape.of(made)
 
 
 def _radius(given: dict[str, Any], spacing: float) -> float:

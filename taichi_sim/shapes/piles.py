@@ -145,6 +145,4 @@ def tower(
             blocks.append(block)
         balls = np.concatenate([block.balls for block in blocks])
         scene.set_balls(balls, pinned=pinned)
-    return Shape(
-        *(np.concatenate([getattr(b, name) for b in blocks]) for name in ("balls", "springs", "triangles", "cells"))
-    )
+    return Shape.of(blocks)

@@ -8,8 +8,10 @@ import pytest
 from statics import at_rest
 
 from taichi_sim import Scene, SceneError, shapes
+from taichi_sim.analysis import diagnostics
 from taichi_sim.geometry.mesh import Surface, flaws, holes, volume
 from taichi_sim.geometry.spheres import icosphere
+from taichi_sim.scene.bricks import corner_volumes
 from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.shapes.jelly_material import box_surface, connected, inside, skin_of_tetrahedra, springs_of
 
@@ -38,15 +40,6 @@ def block(dim, ratio, size, resolution, **more):
     return scene, made
 
 
-def energy(scene, x):
-    length = np.linalg.norm(x[scene.pairs[:, 1]] - x[scene.pairs[:, 0]], axis=1)
-    stored = 0.5 * float(scene.stiffness @ (length - scene.rest_length) ** 2)
-    if len(scene.cells):
-        grown = cell_volumes(x, scene.cells) / scene.rest_volume - 1
-        stored += 0.5 * float((scene.bulk_modulus * scene.rest_volume) @ grown**2)
-    return stored
-
-
 def strain_energy(dim, ratio, e):
     """E = 1000: lambda tr(e)^2 / 2 + mu e:e per volume; in 2D Poisson's ratio is lambda / (lambda + 2 mu)."""
     mu = 1000 / (2 * (1 + ratio))
@@ -59,9 +52,10 @@ def strain_energy(dim, ratio, e):
     [
         (2, 1 / 3, (1, 1.5), (5, 9)),
         (2, 0.6, (1, 1), (4, 4)),
+        (2, 0.0, (3, 1), (4, 9)),
         (3, 1 / 4, (1, 1, 1), (4, 4, 4)),
-        (3, 1 / 4, (1, 1.1, 0.9), (3, 4, 3)),
-        (3, 0.45, (1, 1, 1), (3, 4, 3)),
+        (3, 0.1, (1, 1.1, 3), (3, 4, 3)),
+        (3, 0.4999, (1, 1, 1), (3, 4, 3)),
     ],
 )
 def test_a_block_has_its_moduli_at_any_resolution(dim, ratio, size, resolution):
@@ -69,20 +63,21 @@ def test_a_block_has_its_moduli_at_any_resolution(dim, ratio, size, resolution):
     whole, small = float(np.prod(size)), 1e-6
     assert scene.mass.sum() == pytest.approx(30 * whole)
     assert scene.mass.min() == pytest.approx(30 * whole / np.prod(np.array(resolution) - 1) / 2**dim)
-    assert len(made.cells) == (2 if dim == 3 else 4) * np.prod(np.array(resolution) - 1)
-    assert scene.bulk_modulus.any() == (ratio > 0.34)
-    assert scene.cells_act()
+    assert len(made.bricks) == np.prod(np.array(resolution) - 1)
+    assert len(made.springs) == len(made.cells) == 0
     generator = np.random.default_rng(1)
     for _ in range(5):
         e = generator.normal(size=(dim, dim))
         e = small * (e + e.T)
         want = strain_energy(dim, ratio, e) * whole
-        assert energy(scene, scene.position @ (np.eye(dim) + e)) == pytest.approx(want, rel=1e-4)
+        x = scene.position @ (np.eye(dim) + e)
+        assert diagnostics.energy(scene, x, 0 * x).spring == pytest.approx(want, rel=1e-3)
 
 
 def test_cells_are_of_positive_volume_and_share_the_block():
     for dim in (2, 3):
-        scene, _ = block(dim, 0.45, (1.0,) * dim, (4,) * dim)
+        scene = Scene(dim=dim)
+        shapes.jelly(scene, (1.0,) * dim, (4,) * dim, stiffness=100.0)
         assert (cell_volumes(scene.position, scene.cells) > 0).all()
         assert cell_volumes(scene.position, scene.cells) == pytest.approx(scene.rest_volume)
         share = 1.5 if dim == 3 else 0.5
@@ -91,10 +86,12 @@ def test_cells_are_of_positive_volume_and_share_the_block():
 
 @pytest.mark.parametrize(
     ("dim", "length", "ratio", "high"),
-    [(2, 12, 1 / 3, 8), (2, 9, 0.92, 8), (2, 9, 0.97, 4), (3, 10, 1 / 4, 6), (3, 10, 0.4, 6)],
+    [(2, 12, 1 / 3, 1), (2, 9, 0.92, 2), (2, 9, 0.97, 4), (3, 10, 1 / 4, 1), (3, 10, 0.45, 2)],
 )
 def test_a_bar_sags_as_a_slender_beam(dim, length, ratio, high):
-    """Under its own weight, clamped at one end: q L^4 / (8 E I) + q L^2 / (2 kappa G A), a few boxes high, 1 wide."""
+    """Under its own weight, clamped at one end: q L^4 / (8 E I) + q L^2 / (2 kappa G A), one or a few boxes high, 1 wide.
+
+    The clamp keeps its end from narrowing, which theory leaves out and large ratios show."""
     side = 1.0 / high
     size, resolution = (float(length), 1.0, side)[:dim], (length * high + 1, high + 1, 2)[:dim]
     scene, _ = block(dim, ratio, size, resolution, density=1.0)
@@ -106,21 +103,14 @@ def test_a_bar_sags_as_a_slender_beam(dim, length, ratio, high):
     q, shear = 1e-5, 1000 / (2 * (1 + ratio))  # per width
     kappa = 5 / 6 if dim == 2 else 10 * (1 + ratio) / (12 + 11 * ratio)
     want = q * length**4 / (8 * 1000 / 12) + q * length**2 / (2 * kappa * shear)
-    assert sag == pytest.approx(want, rel=0.05 if high > 4 else 0.1)
+    assert sag == pytest.approx(want, rel=0.03 if ratio < 0.4 else 0.06)
     assert sag < 0.01 * length
 
 
-def test_ratios_and_boxes_that_springs_cannot_have():
-    for dim, ratio, allowed in (
-        (3, 0.2, "0.25"),
-        (3, 0.5, "0.25.*less than 0.5"),
-        (2, 0.3, "0.3333"),
-        (2, 1.0, "less than 1"),
-    ):
+def test_ratios_that_no_body_has():
+    for dim, ratio, allowed in ((3, -0.2, "0"), (3, 0.5, "0.4999"), (2, 1.0, "0.9996")):
         with pytest.raises(SceneError, match=rf"jelly\.poisson_ratio: {ratio} .*{allowed}"):
             block(dim, ratio, (1.0,) * dim, (4,) * dim)
-    with pytest.raises(SceneError, match=r"jelly\.resolution: gives boxes of 1 x 0.25 x 0.25 m"):
-        block(3, 0.25, (2, 1, 1), (3, 5, 5))
 
 
 def test_what_is_inside():
@@ -164,8 +154,8 @@ def test_a_mesh_filled_with_boxes(surface):
         scene, mesh=surface, spacing=0.05 if len(surface.vertices) > 300 else 0.15, density=500.0, scale=2.0
     )
     assert scene.mass.sum() == pytest.approx(500 * 8 * volume(surface))
-    assert (cell_volumes(scene.position, scene.cells) > 0).all()
-    assert len(made.cells) == scene.rest_volume.size
+    assert (corner_volumes(scene.position, scene.bricks) > 0).all()
+    assert len(made.bricks) == len(scene.bricks)
     assert not len(holes(made.triangles))
     assert volume(Surface(scene.position, made.triangles)) == pytest.approx(8 * volume(surface), rel=0.08)
     skin = scene.embedded_surfaces[0]

@@ -1,6 +1,8 @@
-"""Forces and stiffness of springs, bending elements and cells of a scene in NumPy, and where it hangs at rest."""
+"""Forces and stiffness of springs, bending elements, cells and bricks of a scene in NumPy, and where it hangs at rest."""
 
 import numpy as np
+
+from taichi_sim.scene.bricks import BRICKS
 
 
 def forces(scene, x):
@@ -24,6 +26,11 @@ def forces(scene, x):
         for a, wa in zip(corners, weights):
             for b, wb in zip(corners, weights):
                 matrix[a, :, b] += k * wa * wb * np.eye(dim)
+    if len(scene.bricks):
+        at = (dim * scene.bricks[:, :, None] + np.arange(dim)).reshape(len(scene.bricks), -1)
+        push, stiff = brick_forces(scene, x)
+        np.add.at(force.reshape(-1), at, push)
+        np.add.at(matrix.reshape(n * dim, n * dim), (at[:, :, None], at[:, None]), stiff)
     if len(scene.cells):
         volume, gradient = cell_gradients(x, scene.cells)
         alone = scene.cells_together < 0
@@ -39,6 +46,21 @@ def forces(scene, x):
             stiff = np.einsum("ki,lj->kilj", whole[at], whole[at]) * modulus / rest
             matrix[at[:, None], :, at[None]] += stiff.transpose(0, 2, 1, 3)
     return force.ravel(), matrix.reshape(n * dim, n * dim)
+
+
+def brick_forces(scene, x):
+    """Forces (b, 2^dim dim) [N] of bricks on their corners, exact, and what they lose by places there, by differences."""
+    corners = x[scene.bricks].reshape(len(scene.bricks), -1)
+    width, tiny = corners.shape[1], 1e-7 * np.ptp(x)
+
+    def push(at):
+        change = at[None] + 1e-30j * np.eye(width)[:, None]
+        stored = [BRICKS.stored(scene, one.reshape(-1, 2**scene.dim, scene.dim)).imag for one in change]
+        return -np.stack(stored, axis=1) / 1e-30
+
+    ahead = [push(corners + tiny * one) - push(corners - tiny * one) for one in np.eye(width)]
+    stiff = -np.stack(ahead, axis=2) / (2 * tiny)
+    return push(corners), 0.5 * (stiff + stiff.transpose(0, 2, 1))
 
 
 def cell_gradients(x, cells):

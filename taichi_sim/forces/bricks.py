@@ -1,0 +1,200 @@
+"""Bricks: hexahedra, in 2D quadrilaterals, of a stable neo-Hookean material, with one point and stabilised bending."""
+
+import numpy as np
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.forces.incidence import Corners
+from taichi_sim.scene.bricks import lame, laws, neo_hookean
+
+__all__ = ["Bricks"]
+
+
+@ti.data_oriented
+class Bricks(Corners):
+    """Forces of the energy V (m (I - 3 - log(I + 1)) / 2 + k (J - alpha)^2 / 2 + E(Q) / 2), I and J those of F at the centre, Q_p
+    = F^T q_p for the amplitudes q_p of what is not linear: rotations cancel. See scene.bricks for E.
+
+    Viscosity acts on the rates of the strain (F^T F - 1) / 2 and of Q. Amplitudes are sums over the corners with signs, those of
+    the sides that an amplitude's number names by its bits; all are sums and differences of pairs. Each brick computes the forces
+    on its corners once, into `push`; balls gather them.
+    """
+
+    name = "bricks"
+    elastic = True
+
+    def __init__(self, model: Model, fields: Fields) -> None:
+        scene, dim = model.scene, model.dim
+        self.count, self.k = scene.bricks.shape
+        self.bits = bits = tuple(
+            1 << (dim - 1 - s) for s in range(dim)
+        )  # of sides, in numbers of corners and amplitudes
+        self.bent = tuple(p for p in range(self.k) if p not in (0, *bits))
+        # for each side, along which strains are linear: the others, and the amplitudes that strain them
+        others = [[d for d in range(dim) if d != s] for s in range(dim)]
+        self.bends = tuple((*rest, *(bits[d] | bits[s] for d in rest)) for s, rest in enumerate(others))
+        self.viscous = bool(np.any(scene.brick_viscosity > 0))
+        own, law = laws(scene)
+        modulus, ratio, size = own[:, 0], own[:, 1], own[:, 2:-1]
+        mu, lam = lame(dim, modulus, ratio)
+        m, k, alpha = neo_hookean(mu, lam)
+        values = {
+            "m": m,
+            "k": k,
+            "alpha": alpha,
+            "mu": mu,
+            "young": modulus,
+            "ratio": ratio,
+            "volume": size.prod(axis=1),
+        }
+        values |= {"plate": modulus / (1.0 - ratio**2) if dim == 3 else modulus, "delay": own[:, -1] / mu}
+        slope = {"slope": ti.types.vector(dim, fields.real)}  # 1/m
+        self.law = fields.table(dict.fromkeys(values, fields.real) | slope, len(own), values | {"slope": 2.0 / size})
+        columns = {"balls": ti.types.vector(self.k, ti.i32), "law": ti.i32}
+        self.brick = fields.table(columns, self.count, {"balls": scene.bricks, "law": law})
+        self.push = fields.vectors(self.count * self.k, dim)  # N
+        self.gather(
+            model,
+            fields,
+            np.repeat(scene.bricks, self.k, axis=0),
+            scene.bricks.ravel(),
+            {"place": ti.i32},
+            {"place": np.arange(self.count * self.k)},
+            holds_others=False,
+        )
+
+    @ti.func
+    def _amplitudes(self, ball: ti.template(), e, of_rates: ti.template(), real: ti.template()):
+        """Amplitudes (2^dim, dim) of brick e [m], or their rates [m/s]: sums of the corners' places with signs."""
+        corners = self.brick[e].balls
+        u = ti.Matrix.zero(real, self.k, self.dim)
+        for c in ti.static(range(1, self.k)):
+            d = ball[corners[c]].x - ball[corners[0]].x
+            if ti.static(of_rates):
+                d = ball[corners[c]].v - ball[corners[0]].v
+            for j in ti.static(range(self.dim)):
+                u[c, j] = ti.cast(d[j], real) / self.k
+        for bit in ti.static(self.bits):
+            for c in ti.static(range(self.k)):
+                if ti.static(c & bit == 0):
+                    for j in ti.static(range(self.dim)):
+                        low, high = u[c, j], u[c | bit, j]
+                        u[c, j], u[c | bit, j] = low + high, high - low
+        return u
+
+    @ti.func
+    def _gradient(self, u, slope, real: ti.template()):
+        """Derivative (dim, dim) of the places at the centre [1], or of velocities [1/s]."""
+        gradient = ti.Matrix.zero(real, self.dim, self.dim)
+        for s in ti.static(range(self.dim)):
+            for j in ti.static(range(self.dim)):
+                gradient[j, s] = slope[s] * u[self.bits[s], j]
+        return gradient
+
+    @ti.func
+    def _turned_back(self, gradient, u, real: ti.template()):
+        """F^T q of the amplitudes that are not linear, (2^dim, dim)."""
+        q = ti.Matrix.zero(real, self.k, self.dim)
+        for p in ti.static(self.bent):
+            for s in ti.static(range(self.dim)):
+                for j in ti.static(range(self.dim)):
+                    q[p, s] += gradient[j, s] * u[p, j]
+        return q
+
+    @ti.func
+    def _bending(self, q, law, real: ti.template()):
+        """Derivative of E / 2 by Q, (2^dim, dim): of strains that are linear along a side, see scene.bricks.stabilisation."""
+        t = ti.Matrix.zero(real, self.k, self.dim)
+        slope = law.slope
+        for bend in ti.static(self.bends):
+            if ti.static(self.dim == 2):
+                d, p = ti.static(bend)
+                t[p, d] += law.plate / 3.0 * slope[d] * slope[d] * q[p, d]
+            else:
+                d, e, p, r = ti.static(bend)
+                along, across = slope[d] * q[p, d], slope[e] * q[r, e]
+                shear = law.mu / 3.0 * (slope[d] * q[p, e] + slope[e] * q[r, d])
+                t[p, d] += law.plate / 3.0 * slope[d] * (along + law.ratio * across)
+                t[r, e] += law.plate / 3.0 * slope[e] * (across + law.ratio * along)
+                t[p, e] += slope[d] * shear
+                t[r, d] += slope[e] * shear
+        if ti.static(self.dim == 3):
+            for d in ti.static(range(3)):
+                t[7, d] += law.young / 9.0 * slope[d] * slope[d] * q[7, d]
+        return t
+
+    @ti.func
+    def _stress(self, gradient, law):
+        """First Piola-Kirchhoff stress (dim, dim) [Pa, in 2D N/m] of the centre."""
+        shape = gradient.norm_sqr() + (3 - self.dim)
+        pressure = law.k * (gradient.determinant() - law.alpha)
+        stress = law.m * (1.0 - 1.0 / (shape + 1.0)) * gradient
+        for s in ti.static(range(self.dim)):
+            for j in ti.static(range(self.dim)):
+                if ti.static(self.dim == 2):
+                    stress[j, s] += (1 - 2 * ((j + s) % 2)) * pressure * gradient[1 - j, 1 - s]
+                else:
+                    a, b, c, d = ti.static((j + 1) % 3, (j + 2) % 3, (s + 1) % 3, (s + 2) % 3)
+                    stress[j, s] += pressure * (gradient[a, c] * gradient[b, d] - gradient[a, d] * gradient[b, c])
+        return stress
+
+    @ti.func
+    def _push(self, e, law, stress, gradient, u, t):
+        """Write the forces on the corners of brick e, of the stress of the centre and the derivative by Q."""
+        f = ti.Matrix.zero(float, self.k, self.dim)
+        share = -law.volume / self.k
+        for p in ti.static(self.bent):
+            for s in ti.static(range(self.dim)):
+                for j in ti.static(range(self.dim)):
+                    stress[j, s] += u[p, j] * t[p, s]
+                    f[p, j] += share * gradient[j, s] * t[p, s]
+        for s in ti.static(range(self.dim)):
+            for j in ti.static(range(self.dim)):
+                f[self.bits[s], j] = share * law.slope[s] * stress[j, s]
+        for bit in ti.static(self.bits):
+            for c in ti.static(range(self.k)):
+                if ti.static(c & bit == 0):
+                    for j in ti.static(range(self.dim)):
+                        same, signed = f[c, j], f[c | bit, j]
+                        f[c, j], f[c | bit, j] = same - signed, same + signed
+        for c in ti.static(range(self.k)):
+            for j in ti.static(range(self.dim)):
+                self.push[e * self.k + c][j] = f[c, j]
+
+    @ti.func
+    def prepare(self, ball: ti.template()):
+        """Forces on the corners of each brick."""
+        for e in range(self.count):
+            law = self.law[self.brick[e].law]
+            u = self._amplitudes(ball, e, False, float)
+            gradient = self._gradient(u, law.slope, float)
+            stress, q = self._stress(gradient, law), self._turned_back(gradient, u, float)
+            if ti.static(self.viscous):
+                w = self._amplitudes(ball, e, True, float)
+                change = self._gradient(w, law.slope, float)
+                rate = gradient.transpose() @ change
+                stress += law.delay * law.mu * gradient @ (rate + rate.transpose())
+                q += law.delay * (self._turned_back(change, u, float) + self._turned_back(gradient, w, float))
+            self._push(e, law, stress, gradient, u, self._bending(q, law, float))
+
+    @ti.func
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """Force of a brick on ball i [N]."""
+        return self.push[row.place]
+
+    @ti.func
+    def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
+        """Share of ball i of a brick's energy [J]: equal for all corners; 0 at rest."""
+        e = row.place // self.k
+        law = self.law[self.brick[e].law]
+        u = self._amplitudes(ball, e, False, real)
+        gradient = self._gradient(u, law.slope, real)
+        q = self._turned_back(gradient, u, real)
+        t = self._bending(q, law, real)
+        shape, off = gradient.norm_sqr() + (3 - self.dim), gradient.determinant() - law.alpha
+        stored = law.m * (shape - 3.0 - ti.log((shape + 1.0) / 4.0)) + law.k * (off * off - (1.0 - law.alpha) ** 2)
+        for p in ti.static(self.bent):
+            for s in ti.static(range(self.dim)):
+                stored += q[p, s] * t[p, s]
+        return 0.5 * law.volume / self.k * stored

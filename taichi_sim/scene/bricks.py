@@ -1,0 +1,266 @@
+"""Bricks: hexahedra, in 2D quadrilaterals, of an elastic material: boxes at rest."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import Column
+from taichi_sim.scene.part import Columns, Element
+
+__all__ = [
+    "BRICKS",
+    "MOST_RATIO",
+    "BrickMethods",
+    "at_rest",
+    "corner_volumes",
+    "lame",
+    "laws",
+    "neo_hookean",
+    "rates_at_rest",
+]
+
+Floats = NDArray[np.float64]
+MOST_RATIO = {2: 0.9996, 3: 0.4999}  # Poisson's, by the dimensions: in 2D that of plane strain with the other
+NOT_A_BOX = 1e-6  # of its size, how far a corner may lie off
+ROOM = 4.0  # times the stiffness at rest: a face that is stretched to twice its area
+
+
+class BrickMethods:
+    """The part of a Scene that holds bricks."""
+
+    bricks = Column("bricks", "corners", "(b, 2^dim) balls of each brick", ("2 ** dim",), np.int32)
+    brick_modulus = Column("bricks", "young_modulus", "(b,) Pa, in 2D N/m")
+    brick_ratio = Column("bricks", "poisson_ratio", "(b,) 1")
+    brick_viscosity = Column("bricks", "viscosity", "(b,) Pa s, in 2D N s/m")
+    brick_size = Column("bricks", "rest_size", "(b, dim) m, of the sides at rest", ("dim",))
+
+    def add_bricks(
+        self: Any,
+        corners: ArrayLike,
+        *,
+        young_modulus: ArrayLike,
+        poisson_ratio: ArrayLike,
+        viscosity: ArrayLike = 0.0,
+        rest_size: ArrayLike | None = None,
+    ) -> NDArray[np.int32]:
+        """Add b bricks of an elastic material and return their indices, shape (b,).
+
+        A brick, a hexahedron in 3D and a quadrilateral in 2D, is a box at rest. Its material is neo-Hookean, and drives a brick
+        that is turned inside out back. One brick across a bar is enough for it to bend as it should, at all ratios.
+
+        Args:
+            corners: (b, 2^dim) balls, or one brick, as `itertools.product((0, 1), repeat=dim)` has their places along the sides:
+                the last side counts fastest.
+            young_modulus: one or one per brick, > 0 [Pa, in 2D N/m].
+            poisson_ratio: one or one per brick, 0 to 0.4999 (in 2D 0.9996) [1]. In 2D both are those of a sheet in its plane.
+                A long body in plane strain has the modulus E / (1 - nu^2) and the ratio nu / (1 - nu).
+            viscosity: one or one per brick, >= 0 [Pa s, in 2D N s/m]: the stress by which a rate of strain is resisted, as a
+                viscous liquid's.
+            rest_size: (b, dim) or (dim,), > 0 [m]: sides of the box at rest. None: the present ones, of bricks that are boxes.
+        """
+        dim = self.dim
+        ij = validation.indices("bricks.corners", validation.many(corners, 1), self.n_balls, width=2**dim)
+        b = len(ij)
+        ordered = np.sort(ij, axis=1)
+        for k in np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1)):
+            raise SceneError(f"bricks.corners[{k}]", ij[k], says=f"names a ball twice; give {2**dim} different")
+        modulus = validation.per_item("bricks.young_modulus", young_modulus, b, positive=True)
+        ratio = validation.per_item("bricks.poisson_ratio", poisson_ratio, b, low=0, high=MOST_RATIO[dim])
+        loss = validation.per_item("bricks.viscosity", viscosity, b, low=0)
+        if rest_size is None:
+            size = _present_size(self.position[ij])
+        else:
+            sides = validation.many(rest_size, 1)
+            size = validation.vectors(
+                "bricks.rest_size", np.broadcast_to(sides, (b, dim)) if len(sides) == 1 else sides, b, dim
+            )
+            for k in np.flatnonzero((size <= 0).any(axis=1)):
+                raise SceneError(f"bricks.rest_size[{k}]", size[k], "positive")
+        first = len(self.bricks)
+        columns = {"young_modulus": modulus, "poisson_ratio": ratio, "viscosity": loss, "rest_size": size}
+        self.tables["bricks"].append(b, corners=ij, **columns)
+        return np.arange(first, first + b, dtype=np.int32)
+
+
+def _signs(dim: int) -> Floats:
+    """Places (2^dim, dim) of the corners of a brick along its sides, -1 or 1."""
+    return np.array(list(itertools.product((-1.0, 1.0), repeat=dim)))
+
+
+def _present_size(x: Floats) -> Floats:
+    """Sides (b, dim) [m] of bricks with corners at x (b, 2^dim, dim) [m]. Raises SceneError for one that is no box."""
+    dim = x.shape[2]
+    sides = np.einsum("bka,ks->bsa", x, _signs(dim)) * 2.0 / 2**dim  # the s-th side, a vector
+    size = np.linalg.norm(sides, axis=2)
+    box = x.mean(axis=1, keepdims=True) + 0.5 * np.einsum("ks,bsa->bka", _signs(dim), sides)
+    slack = NOT_A_BOX * size.max(axis=1, initial=0.0)
+    off = np.abs(x - box).max(axis=(1, 2), initial=0.0) > slack
+    across = np.einsum("bsa,bta->bst", sides, sides) - np.einsum("bs,st->bst", size**2, np.eye(dim))
+    off |= np.abs(across).max(axis=(1, 2), initial=0.0) > slack * size.max(axis=1, initial=0.0)
+    off |= np.linalg.det(sides) <= slack**dim
+    for k in np.flatnonzero(off):
+        says = "is no box now, or its corners are in another order; give a rest_size, or the order of add_bricks"
+        raise SceneError(f"bricks.corners[{k}]", says=says)
+    return size
+
+
+class _Bricks(Columns, Element):
+    name, method, counted = "bricks", "add_bricks", ("corners",)
+    assumed: ClassVar = {"viscosity": 0.0}
+    features: ClassVar = {"viscosity of bricks": lambda scene: np.any(scene.brick_viscosity > 0)}
+
+    def energies(self, scene: Any, x: Floats, whole: NDArray[np.bool_]) -> list[float]:
+        return [float(np.sum(self.stored(scene, x[scene.bricks])[whole]))]
+
+    def stored(self, scene: Any, x: Floats) -> Floats:
+        """Energies (b,) [J] of the bricks with corners at x (b, 2^dim, dim) [m]."""
+        gradient, bent = _patterns(x, scene.brick_size)
+        mu, lam = lame(scene.dim, scene.brick_modulus, scene.brick_ratio)
+        m, k, alpha = neo_hookean(mu, lam)
+        shape = np.sum(gradient**2, axis=(1, 2)) + (3 - scene.dim)
+        change = np.linalg.det(gradient)
+        stored = 0.5 * m * (shape - 3.0 - np.log((shape + 1.0) / 4.0))
+        stored += 0.5 * k * ((change - alpha) ** 2 - (1.0 - alpha) ** 2)
+        strain = np.einsum("bai,bpa->bpi", gradient, bent)  # F^T q
+        own, law = np.unique(_rows(scene)[:, :-1], axis=0, return_inverse=True)
+        stiff = np.array([stabilisation(row[2:], row[0], row[1]) for row in own]).reshape(
+            len(own), *(strain.shape[1:] * 2)
+        )
+        stored += 0.5 * np.einsum("bpi,bpiqj,bqj->b", strain, stiff[law.ravel()], strain)
+        return stored * scene.brick_size.prod(axis=1)  # type: ignore[no-any-return]
+
+    def further_rates(self, scene: Any) -> tuple[float, float]:
+        """Largest of all bricks alone at rest, each with its part of the masses of its balls, which is a bound."""
+        if not len(scene.bricks):
+            return 0.0, 0.0
+        volume = scene.brick_size.prod(axis=1)
+        around = np.bincount(scene.bricks.ravel(), np.repeat(volume, scene.bricks.shape[1]), scene.n_balls)
+        density = np.where(scene.pinned, np.inf, scene.mass)[scene.bricks] / around[scene.bricks]  # of corners
+        own, law = np.unique(_rows(scene), axis=0, return_inverse=True)
+        least = np.full(len(own), np.inf)
+        np.minimum.at(least, law.ravel(), density.min(axis=1))
+        rates = np.array([rates_at_rest(row[2:-1], row[0], row[1], row[-1]) for row in own]) / least[:, None]
+        return float(rates[:, 0].max()), float(rates[:, 1].max())
+
+
+BRICKS = _Bricks()
+
+
+def lame(dim: int, young_modulus: Any, poisson_ratio: Any) -> tuple[Any, Any]:
+    """Lame's constants mu and lambda [Pa, in 2D N/m]."""
+    mu = young_modulus / (2.0 * (1.0 + poisson_ratio))
+    return mu, 2.0 * mu * poisson_ratio / (1.0 - (dim - 1) * poisson_ratio)
+
+
+def neo_hookean(mu: Any, lam: Any) -> tuple[Any, Any, Any]:
+    """Constants m and k [Pa, in 2D N/m] and alpha [1] of the stable neo-Hookean energy m (I - 3 - log(I + 1)) / 2
+    + k (J - alpha)^2 / 2, whose small strains have the constants mu and lambda (Smith, de Goes, Kim 2018)."""
+    m, k = 4.0 / 3.0 * mu, lam + 5.0 / 6.0 * mu
+    return m, k, 1.0 + 0.75 * m / k
+
+
+def _patterns(x: Floats, size: Floats) -> tuple[Floats, Floats]:
+    """Deformation gradients (b, dim, dim) [1] at the centres of bricks with corners at x (b, 2^dim, dim) [m] and sides at rest
+    `size` (b, dim) [m]; and what else they do, (b, p, dim) [m], the amplitudes of the `_bent`."""
+    dim = size.shape[1]
+    gradient = np.einsum("bka,ks->bas", x, _signs(dim)) * (2.0 / 2**dim) / size[:, None, :]
+    return gradient, np.einsum("bka,pk->bpa", x, _bent_signs(dim))
+
+
+def _bent(dim: int) -> list[tuple[int, ...]]:
+    """The sides along which each displacement that is not linear changes its sign: products of two of them or, last, three."""
+    return [p for n in range(2, dim + 1) for p in itertools.combinations(range(dim), n)]
+
+
+def _bent_signs(dim: int) -> Floats:
+    """Shares (p, 2^dim) of the corners in the amplitudes of the `_bent`."""
+    signs = _signs(dim)
+    return np.array([signs[:, list(p)].prod(axis=1) for p in _bent(dim)]) / 2**dim
+
+
+def stabilisation(size: Floats, young_modulus: float, poisson_ratio: float) -> Floats:
+    """Stiffness (p, dim, p, dim) [Pa/m^2, in 2D N/m^3] of the `_bent`, for the volume at rest.
+
+    What bends makes strains that are linear along one side. They cost what they would in a plate, whose thickness adapts: with
+    the shear that these displacements have besides, bricks would be far too stiff (assumed strains, Belytschko, Bindeman 1993).
+    """
+    dim = len(size)
+    mu, _ = lame(dim, young_modulus, poisson_ratio)
+    plate = young_modulus / (1.0 - poisson_ratio**2) if dim == 3 else young_modulus
+    found, slope = _bent(dim), 2.0 / size
+    stiff = np.zeros((len(found), dim, len(found), dim))
+
+    def add(strength: float, *terms: tuple[int, int, float]) -> None:
+        """Add strength times the square of a sum of amplitudes."""
+        for (p, i, f), (q, j, g) in itertools.product(terms, repeat=2):
+            stiff[p, i, q, j] += strength * f * g / 3.0
+
+    for s in range(dim):
+        pairs = [(found.index(tuple(sorted((d, s)))), d) for d in range(dim) if d != s]
+        stretch = [(p, d, slope[d]) for p, d in pairs]
+        if dim == 2:
+            add(plate, *stretch)
+            continue
+        for one in stretch:
+            add(plate * (1.0 - poisson_ratio), one)
+        add(plate * poisson_ratio, *stretch)
+        (p, d), (q, e) = pairs
+        add(mu, (p, e, slope[d]), (q, d, slope[e]))
+    if dim == 3:
+        for d in range(dim):
+            add(young_modulus / 3.0, (len(found) - 1, d, slope[d]))
+    return stiff
+
+
+def laws(scene: Any) -> tuple[Floats, NDArray[np.int32]]:
+    """The different bricks of a scene, rows of (modulus, ratio, sides (dim), viscosity); and which of them each is, (b,)."""
+    own, law = np.unique(_rows(scene), axis=0, return_inverse=True)
+    return own, law.ravel().astype(np.int32)
+
+
+def _rows(scene: Any) -> Floats:
+    return np.column_stack([scene.brick_modulus, scene.brick_ratio, scene.brick_size, scene.brick_viscosity])
+
+
+def at_rest(size: Floats, young_modulus: float, poisson_ratio: float) -> Floats:
+    """Stiffness at rest of one brick, and that of its part that viscosity acts on, (2, 2^dim dim, 2^dim dim) [N/m]."""
+    dim = len(size)
+    mu, lam = lame(dim, young_modulus, poisson_ratio)
+    signs, one = _signs(dim), np.eye(dim)
+    slope = signs * (2.0 / 2**dim) / size
+    whole = np.zeros((2, signs.size, signs.size))
+    for i, j in itertools.product(range(dim), repeat=2):
+        strain = 0.5 * (np.outer(slope[:, j], one[i]) + np.outer(slope[:, i], one[j])).ravel()
+        whole += 2.0 * mu * np.outer(strain, strain)
+    whole[0] += lam * np.outer(slope.ravel(), slope.ravel())
+    bent = np.einsum("pk,ij->pikj", _bent_signs(dim), one).reshape(-1, signs.size)
+    stiff = stabilisation(size, young_modulus, poisson_ratio).reshape(len(bent), -1)
+    return (whole + bent.T @ stiff @ bent) * float(np.prod(size))
+
+
+def rates_at_rest(
+    size: Floats, young_modulus: float, poisson_ratio: float, viscosity: float = 0.0
+) -> tuple[float, float]:
+    """Largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of bricks at rest, for balls of a mass of 1 kg for each m^dim of the
+    bricks around, and with room for what is stretched."""
+    stiff = at_rest(size, young_modulus, poisson_ratio) / float(np.prod(size))
+    elastic, loss = (ROOM * float(np.linalg.eigvalsh(part)[-1]) for part in stiff)
+    return elastic, viscosity / lame(len(size), young_modulus, poisson_ratio)[0] * loss
+
+
+def corner_volumes(x: Floats, bricks: NDArray) -> Floats:
+    """Signed volumes (b, 2^dim) [m^dim] that the sides at each corner of bricks (b, 2^dim) span, balls at x (n, dim) [m]."""
+    dim = x.shape[1]
+    signs = _signs(dim)
+    number = np.arange(2**dim)
+    volume = np.empty((len(bricks), 2**dim))
+    for k in number:
+        sides = [-signs[k, s] * (x[bricks[:, k ^ (1 << (dim - 1 - s))]] - x[bricks[:, k]]) for s in range(dim)]
+        volume[:, k] = np.linalg.det(np.stack(sides, axis=1))
+    return volume
