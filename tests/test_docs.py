@@ -1,6 +1,7 @@
 """The site: its reference has all that the program has, its snippets are run by some test, and it builds without a warning."""
 
 import ast
+import dataclasses
 import inspect
 import re
 import subprocess
@@ -128,4 +129,8 @@ def test_the_site_is_built_without_a_warning_and_loads_nothing_from_elsewhere(tm
     for page in (tmp_path / "site").rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert not re.findall(r"""<(?:script|img|link)[^>]*(?:src|href)=["']?(?:https?:)?//[^>]*>""", text), page.name
-    assert "add_balls" in (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    reference = (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    for name in ("Scene.add_balls", "Simulation.run", "shapes.cloth"):
+        assert f'id="taichi_sim.{name}"' in reference
+    for one in dataclasses.fields(ts.Frame):  # attributes, of which a comment says the unit
+        assert f"<strong>{one.name}</strong>" in reference
