@@ -140,6 +140,13 @@ CHANGES = [  # chapter, its program, what is changed, what then holds
         lambda n: n["places"]["a"][-1],
         [-0.9, 0.7],
     ),
+    (
+        "09_sticks",
+        0,
+        [("radius=0.06,", "radius=0.06, mass=100,")],
+        lambda n: 50 * (n["heights"][-1] - n["heights"][-2]),
+        [1 - 1 / 100.5, 1 - 1 / 80.5, 1 - 2 / 101],
+    ),
 ]
 
 
