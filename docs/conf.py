@@ -1,5 +1,6 @@
 """Settings of the site: `make docs` builds it with Sphinx from these pages, strictly, into out/docs."""
 
+import dataclasses
 import inspect
 import re
 
@@ -47,6 +48,18 @@ def as_markup(text: str) -> str:
     return "".join(f"``{part}``" if k % 2 else re.sub(r"([\\*_|])", r"\\\1", part) for k, part in parts)
 
 
+def attributes(thing) -> list[str]:
+    """Fields of a dataclass, each with the comment behind it."""
+    if not (inspect.isclass(thing) and dataclasses.is_dataclass(thing)):
+        return []
+    source = inspect.getsource(thing)
+    said = {
+        one.name: re.search(rf"^    {one.name}: .*?  # (.*)$", source, re.MULTILINE)
+        for one in dataclasses.fields(thing)
+    }
+    return [f":ivar {name}: {as_markup(found[1])}" for name, found in said.items() if found]
+
+
 def docstring(app, kind, name, thing, options, lines) -> None:
     """Write a docstring as reStructuredText, with its arguments as a list."""
     own = thing if inspect.isroutine(thing) else getattr(thing, "__init__", None)
@@ -57,6 +70,7 @@ def docstring(app, kind, name, thing, options, lines) -> None:
         if block.startswith("Args") and not found:  # of a module
             listed = [f"- {' '.join(as_markup(entry).split())}" for entry in re.split(r"\n {4}(?! )", block)[1:]]
         blocks.append("\n".join(listed) or as_markup(block))
+    blocks.append("\n".join(attributes(thing)))
     lines[:] = "\n\n".join(blocks).splitlines()
 
 

@@ -232,6 +232,20 @@ def collisions(chapter):
     )
 
 
+def sticks(chapter):
+    names = names_of(chapter)
+    times, heights = np.array(names["times"]), np.array(names["heights"])
+    labels = ("in the middle", "at a quarter", "at the end")
+    curves = {label: heights[:, k] for k, label in enumerate(labels)}
+    exact = {}
+    for label, speed, low in zip(labels, (1 / 3, 3 / 13, 0.0), (0.1, 0.1, 0.16)):  # m/s afterwards, m of the hit
+        hit = 1 - low
+        exact[label] = np.where(times < hit, 1 - times, low + speed * (times - hit))
+    places = np.stack([frame.position for frame in names["frames"]])
+    pairs = [(3 * row, 3 * row + 1) for row in range(3)]
+    clip(chapter, times, curves, exact, places, (-0.3, 4.5, -1.4, 1.3), "height [m]", (0, 1.5), springs=pairs)
+
+
 CHAPTERS = {
     "01_motion": motion,
     "02_gravity": gravity,
@@ -241,6 +255,7 @@ CHAPTERS = {
     "06_damping": damping,
     "07_friction": friction,
     "08_collisions": collisions,
+    "09_sticks": sticks,
 }
 
 if __name__ == "__main__":

@@ -86,3 +86,80 @@ def test_the_command_writes_pages_that_load_nothing_from_elsewhere(tmp_path, mon
     with pytest.raises(SystemExit) as ended:
         main(["course", "-o", str(tmp_path / "mine")])
     assert ended.value.code == 2
+
+
+def end(places):
+    """The last of a list of places, as plain numbers."""
+    return np.asarray(places[-1], dtype=float)
+
+
+CHANGES = [  # chapter, its program, what is changed, what then holds
+    ("01_motion", 1, [("dt=0.1", "dt=0.5"), ("fps=10", "fps=2")], lambda n: end(n["positions"]), [2, 4, 6]),
+    (
+        "02_gravity",
+        1,
+        [("dt=0.2", "dt=0.1"), ("fps=5", "fps=10")],
+        lambda n: [h[-1] for h in n["heights"].values()],
+        [1, -1, 0],
+    ),
+    (
+        "02_gravity",
+        1,
+        [("(3, 10)", "(3, 20)"), ("duration=2", "duration=4")],
+        lambda n: [h[-1] for h in n["heights"].values()],
+        [4, -4, 0],
+    ),
+    ("03_walls", 0, [("dt=0.01", "dt=0.05"), ("fps=50", "fps=20")], lambda n: n["heights"][-1][0], 1.25),
+    (
+        "03_walls",
+        0,
+        [
+            ("radius=0.1,", "radius=0.1, velocity=[[0, 0], [2, 0]],"),
+            ("with ts", 'scene.add_wall(normal=(-1, 0), offset=-3.0, material="elastic")\nwith ts'),
+        ],
+        lambda n: [max(f.position[1, 0] for f in n["frames"]) < 2.9001, round(float(n["heights"][0][1]), 3)],
+        [True, 0.625],
+    ),
+    (
+        "04_restitution",
+        0,
+        [("offset=0.0", 'offset=0.0, material="rubber 2"')],
+        lambda n: np.ptp(np.array(n["heights"])[:300], axis=1).max(),
+        0,
+    ),
+    ("04_restitution", 0, [("1.35]", "5.1]")], lambda n: n["rest"][0], 2.98),  # the last frame before 3 s
+    ("05_springs", 0, [("radius=0.1", "radius=0.1, mass=4")], lambda n: n["lengths"]["verlet"][63], 1.5),  # 1.26 s
+    ("05_springs", 0, [("radius=0.1", "radius=0.1, pinned=[0]")], lambda n: n["lengths"]["verlet"][44], 1.5),  # 0.89 s
+    ("06_damping", 0, [("radius=0.1", "radius=0.1, velocity=(2, 0)")], lambda n: n["lengths"][10.0][25], 1.02),
+    ("07_friction", 0, [(", spin=False", "")], lambda n: 50 * (end(n["ways"]) - n["ways"][-2]), [8 / 3] * 3),
+    ("07_friction", 0, [("radius=0.1", "radius=0.1, mass=5")], lambda n: end(n["ways"]), [8, 4, 2]),
+    (
+        "08_collisions",
+        0,
+        [('"3 on 1 kg, e = 1": (3, 1, 1)', '"a": (1, 3, 1)')],
+        lambda n: n["places"]["a"][-1],
+        [-0.9, 0.7],
+    ),
+    (
+        "09_sticks",
+        0,
+        [("radius=0.06,", "radius=0.06, mass=100,")],
+        lambda n: 50 * (n["heights"][-1] - n["heights"][-2]),
+        [1 - 1 / 100.5, 1 - 1 / 80.5, 1 - 2 / 101],
+    ),
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "program", "changes", "found", "wanted"), CHANGES)
+def test_what_a_reader_is_asked_to_change_does_what_the_page_says(name, program, changes, found, wanted):
+    text = programs(CHAPTERS[name])[program]
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    names: dict = {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        exec(compile(text, f"{name}.md", "exec"), names)
+        value = found(names)
+    np.testing.assert_allclose(value, wanted, atol=0.015)

@@ -1,6 +1,8 @@
 """The site: its reference has all that the program has, its snippets are run by some test, and it builds without a warning."""
 
 import ast
+import dataclasses
+import inspect
 import re
 import subprocess
 import sys
@@ -10,6 +12,7 @@ import pytest
 
 import taichi_sim as ts
 from taichi_sim.cli import command
+from taichi_sim.files.source import open_scene
 from tests.support import command_page
 
 pytestmark = pytest.mark.once
@@ -44,6 +47,16 @@ def test_every_public_name_is_in_the_reference_and_documented():
     assert "automodule:: taichi_sim.shapes" in PAGES["api.md"]
     everything = [getattr(ts, name) for name in listed] + [getattr(ts.shapes, name) for name in ts.shapes.__all__]
     assert [thing.__name__ for thing in everything if not thing.__doc__] == []
+    methods = [
+        f"{owner.__name__}.{name}"
+        for owner in everything
+        if inspect.isclass(owner)
+        for name, thing in vars(owner).items()
+        if not name.startswith("_")
+        and (inspect.isroutine(thing) or isinstance(thing, property))
+        and not inspect.getdoc(thing)
+    ]
+    assert methods == []
 
 
 def test_the_page_of_commands_is_what_the_command_says():
@@ -95,6 +108,18 @@ def test_every_page_with_python_is_run_by_a_test():
             assert page.partition("/")[0] in (ROOT / "tests" / test).read_text(encoding="utf-8")
 
 
+def test_scene_files_of_the_first_page_load(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
+    trimesh.creation.torus(0.3, 0.12).export(tmp_path / "ring.obj")
+    first, mesh = re.findall(r"```toml\n(.*?)```", PAGES["start.md"], re.DOTALL)
+    (path, value) = re.search(r"--set (\S+)=(\S+)", PAGES["start.md"]).groups()
+    (tmp_path / "drop.toml").write_text(first)
+    stiffer = open_scene(tmp_path / "drop.toml", parameters={path: float(value)})
+    assert stiffer.stiffness.max() > 2 * ts.load_scene(tmp_path / "drop.toml").stiffness.max()
+    (tmp_path / "ring.toml").write_text(f"format = 1\ndim = 3\n{mesh}")
+    assert 50 < ts.load_scene(tmp_path / "ring.toml").n_balls < 2000
+
+
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning_and_loads_nothing_from_elsewhere(tmp_path):
     pytest.importorskip("sphinx", reason="sphinx is not installed")
@@ -104,4 +129,8 @@ def test_the_site_is_built_without_a_warning_and_loads_nothing_from_elsewhere(tm
     for page in (tmp_path / "site").rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert not re.findall(r"""<(?:script|img|link)[^>]*(?:src|href)=["']?(?:https?:)?//[^>]*>""", text), page.name
-    assert "add_balls" in (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    reference = (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
+    for name in ("Scene.add_balls", "Simulation.run", "shapes.cloth"):
+        assert f'id="taichi_sim.{name}"' in reference
+    for one in dataclasses.fields(ts.Frame):  # attributes, of which a comment says the unit
+        assert f"<strong>{one.name}</strong>" in reference
