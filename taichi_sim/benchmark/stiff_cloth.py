@@ -57,12 +57,17 @@ TASKS = (
 def stiff_scene(stiffness: float) -> Scene:
     """A sheet of 1 m and 0.3 kg, 1378 springs of one stiffness [N/m], damped by a hundredth of sqrt(k m), one edge pinned.
 
-    Springs between balls two apart take the place of bending elements: its peers and the reference know springs alone.
+    Springs between balls two apart take the place of bending elements: its peers and the reference know springs alone. Each
+    square has both of its diagonals.
     """
     scene = Scene(dim=3, gravity=(0, -10, 0))
     edge = range(SIDE)
     cloth(scene, size=(1, 1), resolution=(SIDE, SIDE), mass=MASS, stiffness=stiffness, bending_stiffness=0, pinned=edge)
     ball = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    present = {frozenset(pair) for pair in scene.pairs.tolist()}
+    for one, other in ((ball[:-1, :-1], ball[1:, 1:]), (ball[1:, :-1], ball[:-1, 1:])):
+        across = np.stack([one.ravel(), other.ravel()], axis=1).tolist()
+        scene.add_springs([pair for pair in across if frozenset(pair) not in present], stiffness=stiffness)
     for lines in (ball, ball.T):
         scene.add_springs(np.stack([lines[:, :-2].ravel(), lines[:, 2:].ravel()], axis=1), stiffness=stiffness)
     scene.set_springs(stiffness=stiffness)

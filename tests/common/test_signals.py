@@ -13,10 +13,11 @@ pytestmark = pytest.mark.once
 
 @pytest.fixture(autouse=True)
 def _not_ignored():
-    """A shell's background job ignores Ctrl-C."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    """A shell's background job ignores Ctrl-C, and one behind nohup a hangup."""
+    before = [signal.signal(signal.SIGINT, signal.default_int_handler), signal.signal(signal.SIGHUP, signal.SIG_DFL)]
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in zip((signal.SIGINT, signal.SIGHUP), before):
+        signal.signal(number, handler)
 
 
 def interrupt(number=signal.SIGINT):
