@@ -225,7 +225,7 @@ def test_steps_fit_and_halve():
 
 
 def test_duration_is_short_where_a_scene_is_expensive():
-    assert duration_of(open_scene(resolve("cloth"))) == pytest.approx(0.2)
+    assert duration_of(open_scene(resolve("cloth"))) == pytest.approx(0.25)
     assert duration_of(pair()) == 5.0
 
 
