@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.mesh import holes
 from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
 from taichi_sim.render.palette import body_colours
+from taichi_sim.render.styles import places_within
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
 from taichi_sim.scene.objects import mapped, named
 
@@ -80,7 +81,8 @@ class Parts:
     the balls.
     """
 
-    def __init__(self, first: Frame) -> None:
+    def __init__(self, first: Frame, textured: Collection[str] = ()) -> None:
+        """textured: names of objects with an image, whose surfaces all get places on it."""
         n = len(first.position)
         self.number, self.names = named(n, first.objects)
         self.colour = body_colours(first) if n else np.zeros((0, 3))
@@ -124,8 +126,18 @@ class Parts:
             tint = np.clip(tint if one.colour is None else np.tile(one.colour, (len(tint), 1)), 0.0, 1.0)
             all_ = np.arange(len(one.corners))
             self.surfaces.append(Surface(k, self.names[k], one.corners, one.weights, one.triangles, tint, None, all_))
+        for name in textured:
+            self._project(name, in_3d(first.position))
         self.bodies = _bodies(first, self.names)
         self._faces: tuple[Any, list[NDArray]] = (None, [])
+
+    def _project(self, name: str, x: Floats) -> None:
+        """Put an image onto the surfaces of an object that say nothing of one, as in pictures: along z."""
+        own = [k for k, one in enumerate(self.surfaces) if one.name == name and one.uv is None]
+        points = [self.surfaces[k].points(x) for k in own]
+        for k, here in zip(own, points):
+            around = np.concatenate([*points, x[self.number == self.surfaces[k].object]])
+            self.surfaces[k] = replace(self.surfaces[k], uv=places_within(here, around)[:, :2])
 
     def _plain(self, k: int, name: str, balls: NDArray, uv: Floats) -> Surface:
         corners = balls[:, None].astype(np.int32)
