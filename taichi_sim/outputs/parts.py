@@ -24,6 +24,7 @@ __all__ = [
     "Texture",
     "Textures",
     "Together",
+    "collider_names",
     "few_colours",
     "in_3d",
     "normals_of",
@@ -233,7 +234,8 @@ def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
     return found
 
 
-def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
+def collider_names(first: Frame, taken: Collection[str]) -> list[str]:
+    """The names of colliders: those that were given, and else their kind and a number, which no object has; taken: theirs."""
     colliders = [one.collider for one in first.colliders]
     counts, names = dict[str, int](), list[str]()
     taken = {*taken, *(one.label for one in colliders)}
@@ -243,6 +245,11 @@ def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
             count = counts.get(kind, 0)
             name, counts[kind] = f"{kind}_{count}", count + 1
         names.append(name)
+    return names
+
+
+def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
+    colliders, names = [one.collider for one in first.colliders], collider_names(first, taken)
     tints = [one.colour or COLLIDER_GREY for one in colliders]
     if first.dim == 2:
         shapes: Sequence[tuple[NDArray, NDArray]] = [_flat(one) for one in colliders]
