@@ -14,6 +14,7 @@ from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.checkpoint import parts_of, text_of
 from taichi_sim.outputs.base import USUAL_FPS, Deferred, Image
+from taichi_sim.outputs.parts import collider_names
 from taichi_sim.render.palette import body_colours
 from taichi_sim.scene.objects import named
 
@@ -36,6 +37,7 @@ def constants_of(first: Frame | None) -> dict[str, NDArray[Any]]:
         "triangles": first.triangles,
         "object": number,
         "names": np.array(names, dtype=np.str_),
+        "colliders": np.array(collider_names(first, names), dtype=np.str_),
         **_scene_of(first),
     }
 
@@ -58,8 +60,9 @@ class Arrays(Deferred):
     probe, under its name, `load.tension`.
 
     And what stays the same: radius (n,) m, colour (n, 3) sRGB, pinned (n,), springs (m, 2) and sticks (m,), triangles (t, 3), all
-    as in the first frame, and object (n,), which of names (k,) each ball belongs to; fps (1,) 1/s; and under names that begin
-    with scene/ all that the scene is, by which `Recording` makes frames of it again. Where springs can tear, torn (f, m).
+    as in the first frame, and object (n,), which of names (k,) each ball belongs to; colliders (c,), their names; fps (1,) 1/s;
+    and under names that begin with scene/ all that the scene is, by which `Recording` makes frames of it again. Where springs can
+    tear, torn (f, m).
 
     The columns of energy are kinetic, spring, gravity, total, those of penetration largest and mean; nan where the frame does
     not know them. Frames wait in the log beside the file, which may be larger than the memory. resume: go on from the last

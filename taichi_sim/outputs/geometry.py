@@ -47,7 +47,7 @@ class Geometry(FileOutput):
 
     def _know(self, first: Frame) -> None:
         """Know what all frames have in common, by the first of the run."""
-        self._parts = Parts(first)
+        self._parts = Parts(first, self._textures)
         if self.suffix == ".obj":
             library = self.path.with_name(f"{self.path.stem}_frames.mtl")
             self._obj = Obj(Together.of(self._parts, first), library, self._textures)

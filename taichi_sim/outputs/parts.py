@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.mesh import holes
 from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
 from taichi_sim.render.palette import body_colours
+from taichi_sim.render.styles import places_within
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
 from taichi_sim.scene.objects import mapped, named
 
@@ -23,6 +24,7 @@ __all__ = [
     "Texture",
     "Textures",
     "Together",
+    "collider_names",
     "few_colours",
     "in_3d",
     "normals_of",
@@ -80,7 +82,8 @@ class Parts:
     the balls.
     """
 
-    def __init__(self, first: Frame) -> None:
+    def __init__(self, first: Frame, textured: Collection[str] = ()) -> None:
+        """textured: names of objects with an image, whose surfaces all get places on it."""
         n = len(first.position)
         self.number, self.names = named(n, first.objects)
         self.colour = body_colours(first) if n else np.zeros((0, 3))
@@ -124,8 +127,18 @@ class Parts:
             tint = np.clip(tint if one.colour is None else np.tile(one.colour, (len(tint), 1)), 0.0, 1.0)
             all_ = np.arange(len(one.corners))
             self.surfaces.append(Surface(k, self.names[k], one.corners, one.weights, one.triangles, tint, None, all_))
+        for name in textured:
+            self._project(name, in_3d(first.position))
         self.bodies = _bodies(first, self.names)
         self._faces: tuple[Any, list[NDArray]] = (None, [])
+
+    def _project(self, name: str, x: Floats) -> None:
+        """Put an image onto the surfaces of an object that say nothing of one, as in pictures: along z."""
+        own = [k for k, one in enumerate(self.surfaces) if one.name == name and one.uv is None]
+        points = [self.surfaces[k].points(x) for k in own]
+        for k, here in zip(own, points):
+            around = np.concatenate([*points, x[self.number == self.surfaces[k].object]])
+            self.surfaces[k] = replace(self.surfaces[k], uv=places_within(here, around)[:, :2])
 
     def _plain(self, k: int, name: str, balls: NDArray, uv: Floats) -> Surface:
         corners = balls[:, None].astype(np.int32)
@@ -221,7 +234,8 @@ def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
     return found
 
 
-def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
+def collider_names(first: Frame, taken: Collection[str]) -> list[str]:
+    """The names of colliders: those that were given, and else their kind and a number, which no object has; taken: theirs."""
     colliders = [one.collider for one in first.colliders]
     counts, names = dict[str, int](), list[str]()
     taken = {*taken, *(one.label for one in colliders)}
@@ -231,6 +245,11 @@ def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
             count = counts.get(kind, 0)
             name, counts[kind] = f"{kind}_{count}", count + 1
         names.append(name)
+    return names
+
+
+def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
+    colliders, names = [one.collider for one in first.colliders], collider_names(first, taken)
     tints = [one.colour or COLLIDER_GREY for one in colliders]
     if first.dim == 2:
         shapes: Sequence[tuple[NDArray, NDArray]] = [_flat(one) for one in colliders]

@@ -46,7 +46,7 @@ class Stage:
         self._first, self._aspect, self._textures = first, aspect, textures
         self._last: dict[Any, NDArray] = {}  # what each attribute holds that seldom changes
         if first is not None:
-            self._parts = Parts(first)
+            self._parts = Parts(first, textures)
             self._build(first)
 
     def _build(self, first: Frame) -> None:

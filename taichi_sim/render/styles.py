@@ -13,7 +13,7 @@ from taichi_sim.render.palette import to_linear
 from taichi_sim.scene.looks import PATTERNS, Look
 from taichi_sim.scene.objects import SceneObject
 
-__all__ = ["Styles"]
+__all__ = ["Styles", "places_within"]
 
 PLAIN = Look("")
 TEXTURE = 3  # its number after those of patterns
@@ -62,7 +62,7 @@ class Styles(NamedTuple):
                 number[thing.balls] = named[thing.name]
                 bound = binding.apply(rest)[np.isin(first, thing.balls)]  # may reach beyond the balls
                 place[thing.balls] = (
-                    _flat(thing, frame.triangles, n) if thing.is_sheet else _within(rest[thing.balls], bound)
+                    _flat(thing, frame.triangles, n) if thing.is_sheet else places_within(rest[thing.balls], bound)
                 )
         number = np.concatenate([number, number[first]])
         bodies_number = np.array([named.get(p.collider.label, 0) for p in frame.colliders], dtype=np.int64)
@@ -75,7 +75,7 @@ class Styles(NamedTuple):
             own = np.zeros_like(bodies.vertices)
             for k in range(len(frame.colliders)):
                 mine = bodies.owner == k
-                own[mine] = _within(bodies.vertices[mine], np.zeros((0, 3)))
+                own[mine] = places_within(bodies.vertices[mine], np.zeros((0, 3)))
             surfaces = np.concatenate([place, binding.apply(place)])[triangles]
             on_image = np.array([row[3] == TEXTURE for row in rows])[of_triangle[: len(triangles)]]
             mapped = on_image & np.isfinite(uv).all(axis=(1, 2))
@@ -99,7 +99,7 @@ class Styles(NamedTuple):
         return bool(np.any(self.rows[:, 2] < 1))
 
 
-def _within(x: NDArray, bound: NDArray) -> NDArray[np.float64]:
+def places_within(x: NDArray, bound: NDArray) -> NDArray[np.float64]:
     """Places (v, 3) in the box about points (v, 3) and those bound to them (k, 3), whose longest side is 1."""
     points = np.concatenate([x, bound])
     low, size = points.min(axis=0), np.ptp(points, axis=0).max()

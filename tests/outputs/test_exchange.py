@@ -5,6 +5,7 @@ import re
 import exchange
 import numpy as np
 import pytest
+from PIL import Image
 from test_outputs import FakeRenderer, FakeSimulation, draw_with
 
 import taichi_sim as ts
@@ -42,7 +43,6 @@ def linear(colour):
 @pytest.mark.parametrize(("given", "shown"), [({}, 24.0), ({"fps": 48.0}, 48.0)])
 def test_a_file_is_shown_at_the_rate_of_its_frames(tmp_path, monkeypatch, given, shown):
     import av
-    from PIL import Image
 
     usd = pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
     draw_with(monkeypatch, FakeRenderer)
@@ -200,6 +200,32 @@ def test_images_are_named_from_the_file(stage):
         assert shader.GetInput("file").Get().resolvedPath.endswith(f"{name.split('_')[-1]}.png")
         scaled = UsdShade.Shader(stage.GetPrimAtPath(f"/World/materials/{name}/repeat"))
         assert (scaled.GetInput("scale").Get()[0] if scaled else None) == repeat
+
+
+def test_bodies_with_an_image_have_places_on_it(tmp_path):
+    """A drawing as jelly: its front is the image from side to side, upright, as in pictures; also of an embedded surface."""
+    pytest.importorskip("shapely")
+    usd_geom = pytest.importorskip("pxr.UsdGeom", reason="usd-core is not installed")
+    from pxr import Usd
+
+    Image.new("RGB", (4, 2), (10, 200, 30)).save(tmp_path / "house.png")
+    (tmp_path / "house.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg"><rect width="8" height="4"/></svg>')
+    scene = ts.Scene(dim=3)
+    house = ts.shapes.svg(scene, tmp_path / "house.svg", height=1.0, spacing=0.5, position=(3, 2, 1))
+    scene.set_name(house.balls, "house")
+    plain = ts.shapes.jelly(scene, (1, 1, 1), (2, 2, 2))
+    scene.set_name(plain.balls, "plain")
+    scene.output = {"looks": [{"of": "house", "texture": tmp_path / "house.png"}]}
+    exchange.write(scene, tmp_path, ["x.usda", "x.obj"])
+    stage = Usd.Stage.Open(str(tmp_path / "x.usda"))
+    mesh = usd_geom.Mesh(stage.GetPrimAtPath("/World/house/house"))
+    st = np.array(usd_geom.PrimvarsAPI(mesh).GetPrimvar("st").Get())
+    points = np.array(mesh.GetPointsAttr().Get(0))
+    assert st == pytest.approx((points[:, :2] - points[:, :2].min(axis=0)) / 2.0, abs=2e-3)
+    assert stage.GetPrimAtPath("/World/materials/house/texture")
+    other = usd_geom.Mesh(stage.GetPrimAtPath("/World/plain/plain"))
+    assert not usd_geom.PrimvarsAPI(other).GetPrimvar("st").HasValue()
+    assert "house.png" in (tmp_path / "x_frames.mtl").read_text()
 
 
 def test_a_seam_in_what_tears(tmp_path):

@@ -229,6 +229,7 @@ def test_npz_says_what_it_holds(run):
         data = dict(file)
     first = frames[0]
     assert data["names"].tolist() == NAMES
+    assert data["colliders"].tolist() == ["moon", "box_0"]
     assert data["names"][data["object"][[0, 11, 12, 38, 39, 42, 43, 44]]].tolist() == np.repeat(NAMES, 2).tolist()
     assert np.array_equal(data["position"], [frame.position for frame in frames])
     for name in ("radius", "springs", "triangles", "pinned"):

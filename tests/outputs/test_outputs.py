@@ -306,6 +306,7 @@ def test_arrays(tmp_path):
             "colour": (2, 3),
             "object": (2,),
             "names": (1,),
+            "colliders": (0,),
             **nothing,
         }
         assert data["time"] == pytest.approx(np.arange(10) / 10)
