@@ -147,24 +147,48 @@ def bounces_on(solver: ti.template(), i, j, restitution):
 
 @ti.func
 def time_since_touch(solver: ti.template(), ball: ti.template(), i, j, u):
-    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity; at most a step."""
+    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity; at most a step, and
+    no longer ago than the last impact of either."""
     r = ball[j].x - ball[i].x
     reach, d = solver.model.radius[i] + solver.model.radius[j], r.norm()
     within = (reach - d) * (reach + d)
     time = 0.0 * d
     if within > 0.0:
         closing = -r.dot(u)
-        time = ti.min(within / (closing + ti.sqrt(closing * closing + within * u.dot(u))), 1.0 / solver.rate[0])
+        time = within / (closing + ti.sqrt(closing * closing + within * u.dot(u)))
+        time = ti.min(time, ti.min(solver.since_impact[i], solver.since_impact[j]))
     return time
 
 
 @ti.func
-def may_shift(solver: ti.template(), ball: ti.template(), i, shift):
-    """True if nothing but balls can be where ball i comes by `shift` [m]."""
+def note_impact(solver: ti.template(), i, since):
+    """Note an impact of ball i, so many seconds ago."""
+    solver.impacts[i] = solver.impacts[i] + 1
+    solver.since_impact[i] = since
+
+
+@ti.func
+def may_shift(solver: ti.template(), ball: ti.template(), i, c, shift):
+    """True if nothing is in the way of ball i, which has an impact by contact c, where it comes by `shift` [m]: no wall, nor any
+    third ball that it overlaps already, in which it would come deeper."""
     free = shift.dot(shift) <= solver.model.radius[i] ** 2
     if ti.static(solver.plan.walls_in_turn):
         free = free and wall_impacts.may_shift(solver.walls, ball, i, shift, solver.impacts[i])
+    if solver.model.inverse_mass[i] > 0.0:
+        for other in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
+            free = free and (other == c or not overlap(solver, ball, i, solver.pairs.link[other].other))
+        other = solver.pairs.first_from_others[i]
+        while free and other != NO_CONTACT:
+            free = other == c or not overlap(solver, ball, i, solver.pairs.contact[other].lister)
+            other = solver.pairs.contact[other].next_from_others
     return free
+
+
+@ti.func
+def overlap(solver: ti.template(), ball: ti.template(), i, j):
+    """True if balls i and j overlap."""
+    r, reach = ball[j].x - ball[i].x, solver.model.radius[i] + solver.model.radius[j]
+    return r.dot(r) < reach * reach
 
 
 @ti.func
@@ -213,14 +237,14 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
             p = impulse(solver, i, j, n, d / reach, u, at_touch, time)
             shift_i, shift_j = (since * w) * p, (-since * other) * p
             fits = u.dot(n) + 0.5 * at_touch < 0.5 * ti.min(0.0, u.dot(n) + forced)
-            fits = fits and may_shift(solver, ball, i, shift_i) and may_shift(solver, ball, j, shift_j)
+            fits = fits and may_shift(solver, ball, i, c, shift_i) and may_shift(solver, ball, j, c, shift_j)
             if fits or since == 0.0:
                 done = True
                 t = zero_scalar_in_2d(solver.model.dim)
                 if ti.static(solver.model.spins):
                     t = d / reach * cross(n, p)
-                solver.impacts[i] = solver.impacts[i] + 1
-                solver.impacts[j] = solver.impacts[j] + 1
+                note_impact(solver, i, since)
+                note_impact(solver, j, since)
                 solver.apply(i, p, t)
                 solver.apply(j, -p, t)
                 if since > 0.0:
@@ -232,10 +256,14 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
 
 @ti.func
 def measure_again(solver: ti.template(), ball: ti.template(), i, j, c):
-    """Find the depth of contact c anew if an impact has shifted either ball."""
+    """Measure contact c anew if impacts may have shifted either ball."""
     if solver.impacts[i] + solver.impacts[j] > 0:
         reach = solver.model.radius[i] + solver.model.radius[j]
-        solver.pairs.contact[c].depth = reach - (ball[j].x - ball[i].x).norm()
+        n, d = unit(ball[j].x - ball[i].x, i, j)
+        solver.pairs.contact[c].normal = n
+        solver.pairs.contact[c].depth = reach - d
+        if ti.static(solver.model.spins):
+            solver.pairs.contact[c].arm = d / reach
 
 
 @ti.func

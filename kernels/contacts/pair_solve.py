@@ -96,6 +96,8 @@ def ball_at_once(solver: ti.template(), ball: ti.template(), i, colour, time, ho
 @ti.func
 def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin, time, how: ti.template()):
     """Further impulse [N s] on ball i (at velocity v, spin) from its pair with j in link c; -impulse acts on j."""
+    if ti.static(how.prepares and how.impacts and solver.plan.bounces):
+        pair_impacts.measure_again(solver, ball, i, j, c)
     n = solver.pairs.contact[c].normal
     before = solver.pairs.link[c].impulse
     if ti.static(how.prepares and not solver.plan.warm_starts):
@@ -103,7 +105,7 @@ def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin
     u = ball[j].v - v
     if ti.static(how.prepares):
         if ti.static(solver.plan.impacts_in_turn):
-            prepare_after_impacts(solver, ball, i, j, c, n, before, how)
+            prepare_after_impacts(solver, i, j, c, n, before, how)
         else:
             prepare(solver, i, j, c, n, how)
     total = normal_impulse(solver, i, j, c, u.dot(n), before, how)
@@ -192,12 +194,10 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
 
 
 @ti.func
-def prepare_after_impacts(solver: ti.template(), ball: ti.template(), i, j, c, n, before, how: ti.template()):
+def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.template()):
     """Mass and bias velocity of a contact where impacts come first, see pair_impacts. What closes fast is left alone (mass 0) by
     the solve that ends a step, whose one iteration is for what rests; and by the others if it bounces at e = 1, or before it
     touches: they would take its energy."""
-    if ti.static(how.impacts and solver.plan.bounces):
-        pair_impacts.measure_again(solver, ball, i, j, c)
     depth = solver.pairs.contact[c].depth
     speed = (solver.velocity_before[j] - solver.velocity_before[i]).dot(n)
     fast = speed + ti.max(0.0, pair_impacts.approach_from_forces(solver, i, j, n)) < -solver.threshold[0]

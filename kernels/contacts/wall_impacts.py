@@ -71,6 +71,7 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
                     if ti.static(walls.probed):
                         walls.record(i, k, p)
                     solver.apply(i, p, -cross(n, p))
+                    solver.since_impact[i] = 0.0
     return bounced
 
 

@@ -48,7 +48,8 @@ class Setup(NamedTuple):
     """Settings with which a scene is run: method, seconds per substep, precision ("f32", "f64"), contacts (`rule`, "off"
     where there are none). compensated: sums of positions keep what rounding takes. give: depth of a soft contact as a part
     of h^2 F / m, F [N] being the load of one solve and m [kg] the contact's mass; 0 where contacts are rigid. loses: crowds
-    are held to their energy by scaling what bounces. impacts: how those of balls are solved, see `rebounds`."""
+    are held to their energy by scaling what bounces. impacts: how those of balls are solved, see `rebounds`. at_touch: whether
+    those that bounce are solved at the moment of touch, see `late_impacts`."""
 
     method: Method
     h: float
@@ -58,6 +59,7 @@ class Setup(NamedTuple):
     give: float = 0.0
     loses: bool = False
     impacts: str = rebounds.IN_TURN
+    at_touch: bool = False
 
 
 class Finding(NamedTuple):
@@ -71,9 +73,11 @@ class Finding(NamedTuple):
 def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
     """All that can be said of this scene and step."""
     if setup.rule != "off" and np.any(~scene.pinned):
-        yield from _bounces(scene, setup.h)
-        yield from _impacts(scene, setup.h)
-        if (late := setup.h * late_impacts.late_rate(scene, scene.velocity)) > 0.0:
+        in_time = setup.at_touch and late_impacts.touch_in_time(scene)
+        yield from _bounces(scene, setup.h, in_time)
+        if not in_time:
+            yield from _impacts(scene, setup.h)
+        if (late := late_impacts.late_share(scene, scene.velocity, setup.h, setup.at_touch)) > 0.0:
             yield Finding("impact energy", late_impacts.sentence(late), late_impacts.cure(late, setup.h))
         yield from _overlap(scene, setup)
         if part := rebounds.returned(scene, setup.impacts):
@@ -106,19 +110,21 @@ def _turning(scene: Scene, setup: Setup) -> Iterator[Finding]:
 # Bounces and impacts ---------------------------------------------------------------------------------------------------
 
 
-def _bounces(scene: Scene, h: float) -> Iterator[Finding]:
+def _bounces(scene: Scene, h: float, in_time: bool) -> Iterator[Finding]:
     """A ball that arrives with less than 2 g h is held: what would bounce lower than (2 g h)^2 / (2 g) = 2 g h^2 does not. The
     bounces left out would have taken 2 v e / (g (1 - e)) with v up to 2 g h. Another ball is hit h / 2 late, u h / 2 deep: at
-    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces. Walls are hit in time."""
+    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces, and iterations throw back
+    (1 + e) g h / 2 more. Walls are hit in time, and balls where impacts are solved at the moment of touch: in_time."""
     g, e = _gravity(scene), max_restitution(scene)
     if g == 0.0 or e == 0.0:
         return
     low, radius = 2.0 * g * h * h, float(scene.radius[~scene.pinned].min())
     early = f"; rest comes up to {4.0 * h * e / (1.0 - e):.2g} s early" if e < 1.0 else ""
     speed = _fastest(scene)
-    if e < 1.0 and speed > 0.0 and scene.pinned.any():
-        lost = (1.0 / e**2 - 1.0) * g * h / speed
-        early += f"; each bounce off a pinned ball is too low by {lost:.2g} of its height"
+    if speed > 0.0 and scene.pinned.any() and not in_time:
+        gained = (2.0 + 1.0 / e - 1.0 / e**2) * g * h / speed
+        way = "high" if gained > 0.0 else "low"
+        early += f"; each bounce off a pinned ball is too {way} by {abs(gained):.2g} of its height"
     wanted = np.sqrt(0.5 * LOW_BOUNCE * radius / g)
     yield Finding(
         "bounces",

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.late_impacts import late_rate
+from taichi_sim.analysis.late_impacts import late_share
 from taichi_sim.common.quantities import measured
 from taichi_sim.scene.scene import Scene
 
@@ -64,14 +64,18 @@ def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
 
 
 def left_out(
-    scene: Scene, settled: Any = None, h: float = 0.0, end: NDArray[np.float64] | None = None
+    scene: Scene,
+    settled: Any = None,
+    h: float = 0.0,
+    end: NDArray[np.float64] | None = None,
+    at_touch: bool = False,
 ) -> Iterator[str]:
     """Errors that another run of the same scene does not show. settled: what is known of its start at rest, or None. h: its step
-    [s]; end: velocities (n, dim) at the end [m/s]."""
+    [s]; end: velocities (n, dim) at the end [m/s]; at_touch: whether what bounces is solved at the moment of touch."""
     if len(scene.pairs) or len(scene.cells):
         yield "the mesh, see `taichi-sim report --resolutions`"
     velocities = [scene.velocity] + ([] if end is None else [end])
-    if h * max(late_rate(scene, velocity) for velocity in velocities) > LATE:
+    if max(late_share(scene, velocity, h, at_touch) for velocity in velocities) > LATE:
         yield "the delay of impacts of balls, which both runs may find in the same place: compare with runs at other steps"
     if settled is not None and settled.residual:
         yield f"the net force of {measured(settled.residual, unit='N')} left at the start"

@@ -31,6 +31,8 @@ class GaussSeidel(IteratedRule):
             # disturbed: round after the last impact on a ball or one in its list, 0: one closes fast, or UNDISTURBED;
             # impacts: on a ball in this step
             self.disturbed, self.impacts = fields.integers(n), fields.integers(n)
+        if self.plan.bounces:
+            self.since_impact = fields.reals(n)  # s, of the last one on a ball; a step where it had none
         if self.plan.line_search:
             # island: a ball of the same one, in the end its root; island_was_struck: 1 of a root, something bounced in it
             self.island, self.island_was_struck = fields.integers(n), fields.integers(n)
@@ -91,6 +93,8 @@ class GaussSeidel(IteratedRule):
         if ti.static(self.plan.impacts_in_turn):
             self.disturbed[i], self.impacts[i] = pair_impacts.UNDISTURBED, 0
             self.pairs.first_from_others[i] = pair_impacts.NO_CONTACT
+        if ti.static(self.plan.bounces):
+            self.since_impact[i] = 1.0 / self.rate[0]
 
     @ti.func
     def found(self, ball: ti.template()):

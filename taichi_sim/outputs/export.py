@@ -485,7 +485,10 @@ def export(
         if companion is not None:
             bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
             summary.step_error = companion.compare(simulation, bar.advance)
-            summary.left_out = list(left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity))
+            at_touch = simulation.setup.at_touch
+            summary.left_out = list(
+                left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
+            )
             clock.charge("simulating")
     clock.charge("writing")
     return summary
@@ -534,7 +537,8 @@ def _observed(
         _observe(summary, frame)
         if frame.contacts.number:
             h = simulation.dt / frame.contacts.substeps
-            late = h * late_impacts.late_rate(simulation.scene, frame.velocity)
+            at_touch = simulation.setup.at_touch
+            late = late_impacts.late_share(simulation.scene, frame.velocity, h, at_touch)
             summary.late = max(summary.late, (late, h))
         if companion is not None:
             companion.note(frame)

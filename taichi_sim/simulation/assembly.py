@@ -301,7 +301,7 @@ class Assembly:
         if self.plan.pairs and not self.plan.impacts_in_turn:
             impacts = AT_ONCE if contacts.split else IN_SWEEPS if contacts.in_turn else IN_TURN
         method, loses = settings.integrator.method, self.plan.limits_energy
-        return Setup(method, self.h, backend.precision, rule, rounds, give, loses, impacts)
+        return Setup(method, self.h, backend.precision, rule, rounds, give, loses, impacts, self.plan.bounces)
 
     @property
     def torn(self) -> NDArray[np.bool_] | None:

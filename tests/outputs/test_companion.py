@@ -80,10 +80,12 @@ def test_richardson(order):
 
 
 def test_the_delay_of_impacts_of_balls_is_said_to_be_left_out():
-    """Both runs find the impact at the same place, 4 cm from where it should be: their difference is no error."""
-    scene = ts.Scene(dim=2)
-    scene.add_material("ivory", restitution=1.0)
-    scene.add_balls([[0, 0], [0.13, 0.06]], velocity=[[4, 0], [0, 0]], radius=0.05, mass=1.0, material="ivory")
-    with ts.Simulation(scene, dt=2e-3, substeps=1) as sim:
-        summary = export(sim, None, fps=50, duration=0.1, error=True)
-    assert any("impacts of balls" in one for one in summary.left_out)
+    """Both runs find the impact at the same place, 4 cm from where it should be: their difference is no error. Not where what
+    bounces does so at the moment of touch."""
+    for restitution, late in ((0.0, True), (1.0, False)):
+        scene = ts.Scene(dim=2)
+        scene.add_material("ivory", restitution=restitution)
+        scene.add_balls([[0, 0], [0.13, 0.06]], velocity=[[4, 0], [0, 0]], radius=0.05, mass=1.0, material="ivory")
+        with ts.Simulation(scene, dt=2e-3, substeps=1, arch="cpu") as sim:
+            summary = export(sim, None, fps=50, duration=0.1, error=True)
+        assert any("impacts of balls" in one for one in summary.left_out) == late

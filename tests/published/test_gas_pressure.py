@@ -3,7 +3,7 @@
 Discs that fill a share y of the area have the pressure n k T (1 + y^2 / 8) / (1 - y)^2 (Henderson, Molecular Physics
 30, 1975, 971), n their number per area. In a box, centres keep a radius away from walls and gather near them; n is the
 density of the middle. Mean over two starts, on the middle of each wall, from the impulses of balls that turn around
-there. At the default step discs move a thirtieth of a radius; impacts found at the end of a step make them smaller.
+there. At the default step discs move a thirtieth of a radius.
 """
 
 import numpy as np
