@@ -6,6 +6,7 @@ from taichi_sim.common import validation
 from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
@@ -155,6 +156,15 @@ class ContactRule(FoundContacts):
         self.state.kick(i, w * p)
         if ti.static(self.model.spins):
             self.state.spin[i] = self.state.spin[i] + (self.model.spin_response(i) * w) * t
+
+    def solving(self, friction_part: float) -> list[Part]:
+        """The parts that solve all contacts before a move; friction acts for that part of a step."""
+        self.friction_part = friction_part
+        return [Part(self, "_solve", STEP)] if self.active else []
+
+    @ti.func
+    def _solve(self, role: ti.template(), h, time):
+        self.solve(self.state.ball, self.friction_part * h, self.iterations, True)
 
     # Moving
 

@@ -4,10 +4,13 @@ from typing import Any
 
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
+from taichi_sim.device.parts import STEP, Part
 from taichi_sim.kernels.contacts import energy_limiter, pair_solve
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["IteratedRule"]
+
+FEW_ITERATIONS = 4  # up to which a launch of its own for each is not worth what it spares in compiling
 
 
 @ti.data_oriented
@@ -29,21 +32,51 @@ class IteratedRule(ContactRule):
     def after_iterations(self, ball: ti.template(), impacts: ti.template()):
         """Do what comes last, before the energy limiter."""
 
+    def solving(self, friction_part: float) -> list[Part]:
+        """The parts that solve all contacts before a move. Where there are many iterations, those after the first are one."""
+        whole = super().solving(friction_part)
+        if self.iterations <= FEW_ITERATIONS or type(self).solve is not IteratedRule.solve or not whole:
+            return whole
+        further = Part(self, "_iterate_further", STEP, self.iterations - 1)
+        return [Part(self, "_iterate_first", STEP), further, Part(self, "_end_solve", STEP)]
+
+    @ti.func
+    def _iterate_first(self, role: ti.template(), h, time):
+        self.open_solve(self.state.ball, self.friction_part * h, True)
+
+    @ti.func
+    def _iterate_further(self, role: ti.template(), h, time):
+        self.iterate(self.state.ball, 0.0, pair_solve.NEXT)
+
+    @ti.func
+    def _end_solve(self, role: ti.template(), h, time):
+        self.end_solve(self.state.ball, self.iterations, True)
+
     @ti.func
     def solve(self, ball: ti.template(), time, iterations: ti.template(), impacts: ti.template()):
         """All contacts, iteration by iteration."""
         if ti.static(self.active):
-            self.before_iterations(ball, time, impacts)
-            self.begin(ball, impacts)
-            if ti.static(impacts):
-                self.iterate(ball, time, pair_solve.FIRST)
-            else:
-                self.iterate(ball, time, pair_solve.LAST)
+            self.open_solve(ball, time, impacts)
             self.repeat(ball, iterations - 1, pair_solve.NEXT)
-            self.after_iterations(ball, impacts)
-            self.limit_energy(ball, iterations, impacts)
-            if ti.static(self.plan.sticks and self.plan.warm_starts):
-                self.sticks.end_contacts(ball)
+            self.end_solve(ball, iterations, impacts)
+
+    @ti.func
+    def open_solve(self, ball: ti.template(), time, impacts: ti.template()):
+        """Start from what was accumulated, and the first iteration."""
+        self.before_iterations(ball, time, impacts)
+        self.begin(ball, impacts)
+        if ti.static(impacts):
+            self.iterate(ball, time, pair_solve.FIRST)
+        else:
+            self.iterate(ball, time, pair_solve.LAST)
+
+    @ti.func
+    def end_solve(self, ball: ti.template(), iterations: ti.template(), impacts: ti.template()):
+        """Do what follows the iterations."""
+        self.after_iterations(ball, impacts)
+        self.limit_energy(ball, iterations, impacts)
+        if ti.static(self.plan.sticks and self.plan.warm_starts):
+            self.sticks.end_contacts(ball)
 
     @ti.func
     def relax(self, ball: ti.template(), time):

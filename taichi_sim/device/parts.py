@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from taichi_sim.device.engine import IS_KNOWN, program, ti
+from taichi_sim.device.engine import IS_KNOWN, on_device, program, ti
 
 __all__ = ["BOTH", "PRIME", "STEP", "Chain", "Launches", "Part", "run_parts"]
 
@@ -23,11 +23,12 @@ real_function = ti.real_func if IS_KNOWN else ti.func  # one that is not inlined
 
 
 class Part(NamedTuple):
-    """A function `name(role, h, time)` of an object, `owner`, and the roles in which it runs."""
+    """A function `name(role, h, time)` of an object, `owner`, the roles in which it runs, and how many times in a row."""
 
     owner: Any
     name: str
     roles: int
+    times: int = 1
 
 
 @ti.func
@@ -35,7 +36,8 @@ def run_parts(parts: ti.template(), role: ti.template(), h, time):
     """All parts of a role, fixed when this is compiled, in turn."""
     for part in ti.static(parts):
         if ti.static(part.roles & role):
-            ti.static(getattr(part.owner, part.name))(role, h, time)
+            for _ in ti.static(range(part.times)):  # unrolled: inside another loop none would be parallel
+                ti.static(getattr(part.owner, part.name))(role, h, time)
 
 
 @ti.data_oriented
@@ -66,13 +68,15 @@ class Chain:
         else:
             for part in ti.static(self.parts):
                 if role & part.roles != 0:
-                    ti.static(getattr(part.owner, part.name))(role, h, time)
+                    for _ in range(part.times):
+                        ti.static(getattr(part.owner, part.name))(role, h, time)
 
     @real_function
     def link(self, number: ti.template(), role: int, h: float, time: float):
         """Part `number`, and all after it."""
         if role & self.parts[number].roles != 0:
-            ti.static(getattr(self.parts[number].owner, self.parts[number].name))(role, h, time)
+            for _ in range(self.parts[number].times):
+                ti.static(getattr(self.parts[number].owner, self.parts[number].name))(role, h, time)
         if ti.static(number + 1 < len(self.parts)):
             if role == STEP:  # a function that is called in one place only would be inlined there, whatever its length
                 self.link(number + 1, STEP, h, time)
@@ -82,17 +86,21 @@ class Chain:
 
 @ti.data_oriented
 class Launches:
-    """Parts, run in turn on many threads: those in a row that have the same roles are one kernel, which serves all of them."""
+    """Parts, run in turn on many threads: those in a row that have the same roles are one kernel, which serves all of them; so is
+    one that runs several times. On a device, where a launch takes as long as a loop, all that a role needs is one kernel."""
 
     def __init__(self, parts: Sequence[Part]) -> None:
-        groups = [(roles, tuple(group)) for roles, group in groupby(parts, lambda part: part.roles)]
-        self.roles = tuple(roles for roles, _ in groups)
+        groups = [(kind, tuple(group)) for kind, group in groupby(parts, lambda part: (part.roles, part.times))]
+        if on_device():
+            all_of = [part for part in parts for _ in range(part.times)]
+            groups = [((role, 1), tuple(part for part in all_of if part.roles & role)) for role in (STEP, PRIME)]
+        self.kinds = tuple(kind for kind, _ in groups)
         self.groups = tuple(group for _, group in groups)
 
     def run(self, role: int, number: int, h: float, time: float) -> None:
         """All parts of a role, for substep `number` of those of h seconds from `time` on."""
-        for which, roles in enumerate(self.roles):
-            if roles & role:
+        for which, (roles, times) in enumerate(self.kinds):
+            for _ in range(times if roles & role else 0):
                 self._launch(which, role, number, h, time)
 
     @ti.kernel

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import kind_of
@@ -89,13 +88,20 @@ def _compact(vertices: NDArray, triangles: NDArray, uv: NDArray | None) -> Surfa
     return Surface(vertices[used], compact.reshape(-1, 3).astype(np.int32), None if uv is None else uv[whole])
 
 
+def _tree(points: NDArray) -> Any:
+    """A search tree, of a package that is slow to import."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
+
+
 def _sewn(surface: Surface) -> NDArray:
     """The triangles with one vertex in place of several at borders that lie close to each other."""
     x, triangles = surface.vertices, surface.triangles
     border, shortest = _border(surface)
     at = np.unique(border)
     reach = SEAM * shortest[at]
-    pairs = cKDTree(x[at]).query_pairs(reach.max(), output_type="ndarray") if len(at) else np.zeros((0, 2), dtype=int)
+    pairs = _tree(x[at]).query_pairs(reach.max(), output_type="ndarray") if len(at) else np.zeros((0, 2), dtype=int)
     apart = np.linalg.norm(x[at[pairs[:, 0]]] - x[at[pairs[:, 1]]], axis=1)
     pairs = pairs[apart <= reach[pairs].min(axis=1)]
     one = np.arange(len(x))
@@ -127,7 +133,7 @@ def loose_seams(surface: Surface) -> NDArray[np.int64]:
     at = np.unique(border)
     a, b = x[border[:, 0]], x[border[:, 1]]
     length = np.linalg.norm(b - a, axis=1)
-    near = cKDTree(x[at]).query_ball_point(0.5 * (a + b), (0.5 + NEAR) * length)
+    near = _tree(x[at]).query_ball_point(0.5 * (a + b), (0.5 + NEAR) * length)
     edge = np.repeat(np.arange(len(border)), [len(one) for one in near])
     vertex = at[np.concatenate([np.array(one, dtype=np.int64) for one in near])]
     other = (vertex[:, None] != border[edge]).all(axis=1)

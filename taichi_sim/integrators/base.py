@@ -104,11 +104,14 @@ class Integrator:
 
     def moving(self) -> list[Part]:
         """The parts that kick balls, solve their contacts, move them, and find the contacts where they are then."""
-        return [Part(self, "_stop", STEP), Part(self, "_displace", STEP), *self.contacts.finding()]
+        kicks = [Part(self, "_kick_first", STEP)] if self.kicks_first and self.contacts.active else []
+        solve = self.contacts.solving(self.friction_part)
+        return [*kicks, *solve, Part(self, "_displace", STEP), *self.contacts.finding()]
 
     @ti.func
-    def _stop(self, role: ti.template(), h, time):
-        self.contacts.stop(self.ball, self, h, self.friction_part * h)
+    def _kick_first(self, role: ti.template(), h, time):
+        for i in range(self.model.n):
+            self.before_move(i, h)
 
     @ti.func
     def _displace(self, role: ti.template(), h, time):

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.scene.motion import turn_matrix
 
 __all__ = [
     "AZIMUTH",
@@ -181,9 +181,7 @@ def view_matrix(
 
 def rotated(vector: Floats, axis: Floats, angle: float) -> Floats:
     """A vector (3,) rotated by an angle [rad] about an axis, counter-clockwise seen from its tip."""
-    rotation = Rotation.from_rotvec(angle * axis / np.linalg.norm(axis))
-    result: Floats = rotation.apply(vector)
-    return result
+    return turn_matrix((angle / np.linalg.norm(axis) * axis)[None])[0] @ vector
 
 
 def triple(vector: Any) -> tuple[float, float, float]:

@@ -209,3 +209,23 @@ def test_a_step_on_many_threads_compiles_the_search_for_contacts_once():
         sim.step(4)
         now = len(Launches._launch._primal.compiled_kernels) - before
         assert 0 < now <= len(sim.parts.integrator.launches.groups)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
+def test_further_iterations_are_one_part_that_runs_often(contacts):
+    """Thirteen iterations on many threads compile no more kernels than six, and give the same bits as on one thread."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+    scene.add_material("felt", friction=0.3)
+    scene.add_balls([[0.0, 0.11], [0.05, 0.33], [0.0, 0.56]], radius=0.12, material="felt")
+    scene.add_wall((0, 1), material="felt")
+    ends, kernels = {}, []
+    for driver, iterations in (("fused", 6), ("parallel", 6), ("parallel", 13)):
+        settings = {"contacts": contacts, "contact_iterations": iterations, "accumulate": "ordered"}
+        with ts.Simulation(scene, dt=2e-3, driver=driver, arch="cpu", **settings) as sim:
+            sim.step(40)
+            ends[driver, iterations] = sim.position
+            kernels.append(len(sim.parts.integrator.launches.groups))
+    assert np.array_equal(ends["fused", 6], ends["parallel", 6])
+    assert not np.array_equal(ends["parallel", 6], ends["parallel", 13])
+    assert kernels[1] == kernels[2]

@@ -140,6 +140,11 @@ def test_scene_and_shapes_import_no_taichi():
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
 
 
+def test_simulations_without_meshes_import_no_scipy():
+    code = "import sys, taichi_sim.simulation.simulation; print('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
+
+
 def test_a_scene_says_what_it_holds():
     scene = Scene(dim=2, gravity=(0, -9.81))
     assert repr(Scene()) == "<Scene in 2D: empty>"
