@@ -627,4 +627,4 @@ def _from_to(growth: Growth) -> str:
 
 
 def _limiting(spring: int) -> str:
-    return f"spring {spring} limits" if spring >= 0 else "cells, bending, gas and user-defined forces limit"
+    return f"spring {spring} limits" if spring >= 0 else "membranes, cells, bending, gas and user-defined forces limit"
