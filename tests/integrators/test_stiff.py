@@ -252,7 +252,7 @@ def test_xpbd_by_colours_with_motors_gas_and_springs_that_tear():
     sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(7, 6), stiffness=1500, damping=0.05, mass=0.3)
     scene.set_balls(sheet.balls[:6], pinned=True)
     scene.add_motor(list(range(10, 22)), amplitude=0.1, frequency=2.0)
-    scene.set_springs(slice(0, 5), break_strain=0.02)
+    scene.set_springs(slice(0, 5), break_strain=0.006)
     ends = scene.add_balls(
         [[-1, 0, 0], [-1, -0.5, 0]], radius=0.01, mass=0.5, velocity=[[0, 0, 0], [0, -2, 0]], pinned=[True, False]
     )
