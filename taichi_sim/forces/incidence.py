@@ -54,7 +54,7 @@ class Corners:
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
-        self.corner_names = tuple(names)
+        self.corner_names, self.corner_count = tuple(names), 1 + others.shape[1]
         self.ties = np.stack([own, others[:, 0]], axis=1)  # (r, 2) balls that rows join
         self.start = fields.integers(start)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
@@ -114,6 +114,18 @@ class Corners:
         return ti.cast(0.0, real)
 
     # The derivatives, for implicit methods
+
+    def allocate_derivatives(self, fields: Fields) -> None:
+        """Declare fields for what `prepare_blocks` finds; called where the method is implicit."""
+
+    @ti.func
+    def crosses(self, i, row, group: ti.template()):
+        """True if the corners of a row's element, one of which is ball i, lie in several groups (n)."""
+        crosses = False
+        for name in ti.static(self.corner_names):
+            if group[getattr(row, name)] != group[i]:
+                crosses = True
+        return crosses
 
     @ti.func
     def prepare_blocks(self, ball: ti.template(), s):
