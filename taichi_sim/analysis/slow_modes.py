@@ -37,7 +37,7 @@ def not_worked_out(scene: Scene) -> str:
     if not scene.n_springs or not free:
         return ""
     if any(element_rates(scene)):
-        kinds = {"cells": scene.cells, "bending": scene.bends, "gas": scene.gases}
+        kinds = {"cells": scene.cells, "bricks": scene.bricks, "bending": scene.bends, "gas": scene.gases}
         return f"only springs are analysed, and this scene has {', '.join(name for name, some in kinds.items() if len(some))}"
     return f"{free} free balls are more than the {MOST // scene.dim} analysed" if free * scene.dim > MOST else ""
 

@@ -60,11 +60,10 @@ class Bricks(Corners):
         self.gather(
             model,
             fields,
-            np.repeat(scene.bricks, self.k, axis=0),
+            np.concatenate([np.delete(scene.bricks, c, axis=1)[:, None] for c in range(self.k)], axis=1).reshape(-1, self.k - 1),
             scene.bricks.ravel(),
             {"place": ti.i32},
             {"place": np.arange(self.count * self.k)},
-            holds_others=False,
         )
 
     @ti.func
@@ -351,15 +350,6 @@ class Bricks(Corners):
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block that joins ball i to itself."""
         return self.block[row.place]
-
-    @ti.func
-    def crosses(self, i, row, group: ti.template()):
-        """True if a brick's corners lie in several groups."""
-        crosses, corners = False, self.brick[row.place // self.k].balls
-        for c in ti.static(range(self.k)):
-            if group[corners[c]] != group[i]:
-                crosses = True
-        return crosses
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):

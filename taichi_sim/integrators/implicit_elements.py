@@ -29,8 +29,6 @@ class StageElements:
         self.back = fields.table(dict.fromkeys(("x", "v"), vector), n)
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
-        for one in elements:
-            one.allocate_derivatives(fields)
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):
@@ -71,9 +69,12 @@ class StageElements:
         for one in ti.static(self.elements):
             for t in range(one.start[i + 1] - one.start[i]):
                 e = list_entry(one, i, t)
-                row = one.row[e]
-                if one.is_whole(e) and one.crosses(i, row, aggregate):
-                    block += float(one.corner_count) * one.corner_block(self.there, i, row, self.step[0])
+                row, crosses = one.row[e], 0
+                for name in ti.static(one.corner_names):
+                    if aggregate[getattr(row, name)] != aggregate[i]:
+                        crosses = 1
+                if crosses == 1 and one.is_whole(e):
+                    block += (1.0 + len(one.corner_names)) * one.corner_block(self.there, i, row, self.step[0])
         return block
 
     @ti.func
