@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.graph import incidence
+from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.scene import Scene, used_materials
 
 __all__ = ["SPIN_INERTIA_RATIOS", "Model", "phase_type"]
@@ -83,8 +84,9 @@ class Model:
         return 1.0 / (1.0 + self.spin_response(i))
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Balls that a spring joins each ball to, as (start (n + 1), other (2 m)), sorted."""
-        return incidence(self.scene.pairs, self.n)[:2]
+        """Balls that a spring or a membrane joins each ball to, as (start (n + 1), other (2 m)), sorted."""
+        scene = self.scene
+        return incidence(np.concatenate([scene.pairs, unique_edges(scene.membranes)]), self.n)[:2]
 
 
 def phase_type(dim: int, real: object) -> dict[str, object]:

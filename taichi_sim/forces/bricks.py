@@ -60,7 +60,9 @@ class Bricks(Corners):
         self.gather(
             model,
             fields,
-            np.concatenate([np.delete(scene.bricks, c, axis=1)[:, None] for c in range(self.k)], axis=1).reshape(-1, self.k - 1),
+            np.concatenate([np.delete(scene.bricks, c, axis=1)[:, None] for c in range(self.k)], axis=1).reshape(
+                -1, self.k - 1
+            ),
             scene.bricks.ravel(),
             {"place": ti.i32},
             {"place": np.arange(self.count * self.k)},

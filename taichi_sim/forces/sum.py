@@ -40,6 +40,7 @@ from taichi_sim.forces.cells import Cells
 from taichi_sim.forces.element import Element
 from taichi_sim.forces.gas import Gases
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.membranes import Membranes
 from taichi_sim.forces.motors import motors_of
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
@@ -49,6 +50,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["TotalForce", "checked_forces"]
 
 KERNELS: Mapping[str, Any] = {
+    "membranes": Membranes,
     "cells": Cells,
     "bricks": Bricks,
     "bending": Bending,

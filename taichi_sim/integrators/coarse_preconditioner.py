@@ -3,7 +3,7 @@
 A block of the diagonal sees a ball and its neighbours, so what moves many balls together takes as many iterations as there are
 balls across. Aggregates of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
 movement of aggregates to that of balls. Their matrix is small and solved directly; springs within an aggregate drop out of it.
-Elements that belong to several aggregates enter by a bound: x^T K x is at most the sum of the k blocks of the diagonal, times k.
+Elements that do not tell what joins their corners enter by a bound for it.
 """
 
 from typing import Any
@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.device.engine import on_device as on_gpu
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.springs import Springs
+from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.reductions import each_part
 
 __all__ = ["Aggregates", "bisected"]
@@ -49,11 +51,11 @@ class Aggregates:
         scene, self.elements, self.has_elements = model.scene, elements, elements is not None
         self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
-        on_device = springs is not None and springs.order in ("atomic", "ends")  # one thread of a GPU is slow
+        # one thread of a GPU is slow
+        on_device = on_gpu() if springs is None else springs.order in ("atomic", "ends")
         pay = len(free) >= FEWEST_BALLS
-        self.active = pay and springs is not None and not on_device
-        self.missing = pay and not self.active
-        if springs is None or not self.active:
+        self.active, self.missing = pay and not on_device, pay and on_device
+        if not self.active:
             return
         self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))
         own = bisected(scene.position[free], self.count)
@@ -64,7 +66,7 @@ class Aggregates:
         mass = np.bincount(own, scene.mass[free], self.count)
         self.mass, self.least = fields.reals(mass), fields.reals(mass.min(keepdims=True))
         self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(own, minlength=self.count))))
-        ends = aggregate[scene.pairs[springs.number]]
+        ends = aggregate[scene.pairs if springs is None else scene.pairs[springs.number]]
         slots = np.flatnonzero(ends[:, 0] != ends[:, 1])
         here, there = ends[slots].ravel(), ends[slots][:, ::-1].ravel()
         order = np.lexsort((np.repeat(slots, 2), there, here))
@@ -105,8 +107,9 @@ class Aggregates:
             self.matrix[e] = 0.0
         own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
         if ti.static(self.has_elements):
-            for e in range(self.begin[c], self.begin[c + 1]):
-                own += ti.cast(self.elements.crossing(self.member[e], self.aggregate), self.wide)
+            for one in ti.static(self.elements.elements):
+                for e in range(self.begin[c], self.begin[c + 1]):
+                    own += self._assemble_element(one, c, self.member[e])
         for e in range(self.first[c], self.first[c + 1]):
             link = self.link[e]
             block = self.spring_block[link.spring]
@@ -123,6 +126,31 @@ class Aggregates:
         for a in ti.static(range(dim)):
             for b in ti.static(range(dim)):
                 self.matrix[(c * dim + a) * size + c * dim + b] = own[a, b]
+
+    @ti.func
+    def _assemble_element(self, one: ti.template(), c, i):
+        """Add what the elements of a kind at ball i of aggregate c join to others; returns what they add to its own block."""
+        size, dim = ti.static(self.size, self.dim)
+        s = self.elements.step[0]
+        own = ti.Matrix.zero(self.wide, dim, dim)
+        for k in range(one.start[i + 1] - one.start[i]):
+            e = list_entry(one, i, k)
+            row = one.row[e]
+            for t in ti.static(range(len(one.corner_names))):
+                d = self.aggregate[getattr(row, one.corner_names[t])]
+                if d != c and one.is_whole(e):
+                    if ti.static(one.couples):
+                        block = ti.cast(one.corner_coupling(self.elements.there, i, row, t, s), self.wide)
+                        own -= block
+                        if d >= 0:
+                            for a, b in ti.static(ti.ndrange(dim, dim)):
+                                at = (c * dim + a) * size + d * dim + b
+                                self.matrix[at] = self.matrix[at] + block[a, b]
+                    else:
+                        own += ti.cast(one.corner_block(self.elements.there, i, row, s), self.wide) * float(
+                            len(one.corner_names)
+                        )
+        return own
 
     @ti.func
     def solve(self, residual: ti.template()):

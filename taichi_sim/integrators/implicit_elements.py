@@ -7,7 +7,6 @@ import numpy as np
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.springs import padded_blocks
 
 __all__ = ["StageElements"]
@@ -29,6 +28,8 @@ class StageElements:
         self.back = fields.table(dict.fromkeys(("x", "v"), vector), n)
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
+        for one in elements:
+            one.allocate_derivatives(fields)
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):
@@ -59,22 +60,6 @@ class StageElements:
         block = ti.Matrix.zero(float, self.dim, self.dim)
         for one in ti.static(self.elements):
             block += one.block_at(self.there, i, self.step[0])
-        return block
-
-    @ti.func
-    def crossing(self, i, aggregate: ti.template()):
-        """Bound for what the elements at ball i add to the matrix of its aggregate [kg]: their blocks, times their corners, of
-        those that have corners in several."""
-        block = ti.Matrix.zero(float, self.dim, self.dim)
-        for one in ti.static(self.elements):
-            for t in range(one.start[i + 1] - one.start[i]):
-                e = list_entry(one, i, t)
-                row, crosses = one.row[e], 0
-                for name in ti.static(one.corner_names):
-                    if aggregate[getattr(row, name)] != aggregate[i]:
-                        crosses = 1
-                if crosses == 1 and one.is_whole(e):
-                    block += (1.0 + len(one.corner_names)) * one.corner_block(self.there, i, row, self.step[0])
         return block
 
     @ti.func

@@ -14,15 +14,16 @@ from taichi_sim.scene.bending import BENDING, BendingMethods
 from taichi_sim.scene.bricks import BRICKS, BrickMethods
 from taichi_sim.scene.cells import CELLS, CellMethods
 from taichi_sim.scene.gases import GASES, GasMethods
+from taichi_sim.scene.membranes import MEMBRANES, MembraneMethods
 from taichi_sim.scene.part import Element
 from taichi_sim.scene.wind import WIND, WindMethods
 
 __all__ = ["ELEMENTS", "Elements"]
 
-ELEMENTS: tuple[Element, ...] = (CELLS, BRICKS, BENDING, GASES, WIND)
+ELEMENTS: tuple[Element, ...] = (MEMBRANES, CELLS, BRICKS, BENDING, GASES, WIND)
 
 
-class Elements(CellMethods, BrickMethods, BendingMethods, GasMethods, WindMethods):
+class Elements(MembraneMethods, CellMethods, BrickMethods, BendingMethods, GasMethods, WindMethods):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def has_elements(self) -> bool:

@@ -17,6 +17,7 @@ from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
 from taichi_sim.shapes.base import (
+    DAMPING_RATIO,
     Bends,
     Part,
     Pins,
@@ -39,7 +40,7 @@ from taichi_sim.shapes.base import (
 __all__ = ["cloth"]
 
 CLOTH_DENSITY = 0.2  # kg/m^2, a cotton sheet
-SHEAR_SHARE = 0.25  # of a cloth's stiffness, in its diagonals
+SHEAR_SHARE = 0.5  # of a cloth's stiffness, in its diagonals
 STRETCH_STIFFNESS = 100.0  # N/m: 2 % at the top of a cotton sheet that hangs 1 m
 SHEAR_PART = 0.2  # of the stretch stiffness
 BENDING_RIGIDITY = 1e-5  # N m, cotton
@@ -60,6 +61,14 @@ def cloth(
     stretch_stiffness: float | None = None,
     shear_stiffness: float | None = None,
     bending_rigidity: float | None = None,
+    warp: float | None = None,
+    weft: float | None = None,
+    shear: float | None = None,
+    coupling: float | None = None,
+    warp_angle: float = 0.0,
+    young_modulus: float | None = None,
+    poisson_ratio: float | None = None,
+    thickness: float | None = None,
     damping: float | None = None,
     radius: float | None = None,
     velocity: Sequence[float] | None = None,
@@ -77,12 +86,16 @@ def cloth(
     """A sheet of cloth, or a shell from a surface mesh, in 3D.
 
     The sheet lies in the x-z plane from the origin toward +x and +z; ball (i, j) along x and z has index
-    i * resolution[1] + j. It has springs to the next balls and along the diagonals (a quarter as stiff), and a bending element
-    (see `Scene.add_bending`) for each three balls in a row. A mesh keeps its coordinates: vertices are balls, edges springs. An
-    edge where it is flat has a bending element, and where it is folded a spring between the two vertices that face each other.
+    i * resolution[1] + j. It has springs to the next balls and along one diagonal of each square, in turns (half as stiff), and
+    a bending element (see `Scene.add_bending`) for each three balls in a row. A mesh keeps its coordinates: vertices are balls,
+    edges springs. An edge where it is flat has a bending element, and where it is folded a spring between the two vertices that
+    face each other.
 
     With any of mass_per_area, stretch_stiffness, shear_stiffness and bending_rigidity it is made of a material and the same at
     every resolution: balls weigh what the area around them does, and springs and elements at the border count half.
+
+    With warp, or with young_modulus and thickness, triangles take the place of springs, see Scene.add_membranes: a sheet or a
+    mesh then has exactly the material that is given, with directions of its own.
 
     Args:
         size: along x and z [m], (1, 1) by default; resolution: balls along x and z, at least 2, (32, 32) by default.
@@ -94,8 +107,16 @@ def cloth(
         mass_per_area: in place of mass [kg/m^2]; 0.2.
         stretch_stiffness: force per width and strain along the threads [N/m]; 100.
         shear_stiffness: the same across them [N/m]; a fifth of it by default. A mesh has none of its own: a third of it.
-        bending_rigidity: moment per width and curvature [N m]; 1e-5.
-        damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is.
+        bending_rigidity: moment per width and curvature [N m]; 1e-5, or that of a plate of the thickness.
+        warp: of a fabric of triangles, the force per width and strain along the warp [N/m], which runs along x, on a mesh as far
+            as a triangle allows (along z where it faces x); weft: the same across it, the warp's by default [N/m]; coupling:
+            force along one by strain along the other [N/m], 0; shear: force per width and angle of shear [N/m], a fifth of the
+            warp.
+        warp_angle: of the warp, from x toward z [degrees].
+        young_modulus: of a sheet of triangles that is alike in all directions [Pa]; thickness: of it [m];
+            poisson_ratio: of it, 0.3 by default [1].
+        damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is; of triangles, force
+            per width and rate of strain along the warp [N s/m].
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
         break_strain: of all springs, at which each tears for good [1], see Scene.add_springs; never by default.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
@@ -109,6 +130,13 @@ def cloth(
         "shear_stiffness": shear_stiffness,
         "bending_rigidity": bending_rigidity,
     }
+    weave, woven["bending_rigidity"] = _weave(
+        {"warp": warp, "weft": weft, "shear": shear, "coupling": coupling},
+        {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "thickness": thickness},
+        {"stretch_stiffness": stretch_stiffness, "shear_stiffness": shear_stiffness, "stiffness": stiffness,
+         "bending_stiffness": bending_stiffness},
+        bending_rigidity,
+    )  # fmt: skip
     if stiffness is None and bending_stiffness is None:
         but = ["mass_per_area"] * (mass is not None) + ["shear_stiffness"] * (mesh is not None)
         woven = with_preset(scene, material, woven, but)
@@ -139,7 +167,23 @@ def cloth(
     drag = at_least_0("cloth.damping", damping)
     strength = 0.0
     masses: float | NDArray = total
-    if all(value is None for value in woven.values()):
+    rest = None
+    if weave is not None:
+        made = cloth_material.Fabric(
+            or_default("cloth.mass_per_area", woven["mass_per_area"], total / area), max(weave.warp, weave.weft), 0.0,
+            at_least_0("cloth.bending_rigidity", woven["bending_rigidity"], BENDING_RIGIDITY),
+        )  # fmt: skip
+        angle = np.radians(validation.number("cloth.warp_angle", warp_angle))
+        whole = meshes.Surface(surface.vertices * factor, surface.triangles)
+        parts = cloth_material.of_triangles(whole, None if grid is None else (grid[1], grid[2] * factor), made)
+        rest = cloth_material.along_warp(whole, angle)
+        time = spacing * DAMPING_RATIO * np.sqrt(made.mass_per_area / made.stretch) if made.stretch > 0 else 0.0
+        time = time if drag is None else drag / max(weave.warp, 1e-300)
+        masses, bends, drag = parts.mass, parts.bends, None
+        kinds = [Springs(pairs, 0.0, k) for pairs, k in parts.springs]
+        if break_strain is not None:
+            kinds.append(Springs(meshes.unique_edges(surface.triangles), 0.0, 0.0))
+    elif all(value is None for value in woven.values()):
         kinds, across, bends = _springs(surface, grid)
         usual = [*kinds, Springs(across.pairs, np.minimum(BENDING_SHARE * across.weight, 1.0))]
         stable = stable_stiffness(usual, len(surface.vertices), total, bends.times(BENDING_SHARE))
@@ -161,7 +205,44 @@ def cloth(
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation, "scale": factor}
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
     more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": surface.uv if grid is None else grid[4]}
-    return build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
+    with scene.all_or_nothing():
+        shape = build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
+        if weave is not None:
+            scene.add_membranes(shape.triangles, **weave._asdict(), damping=time, rest=rest)
+    return shape
+
+
+def _weave(
+    threads: dict[str, float | None],
+    sheet: dict[str, float | None],
+    springs: dict[str, float | None],
+    rigidity: float | None,
+) -> tuple[cloth_material.Weave | None, float | None]:
+    """Stiffness of triangles, None where there are none, and the bending rigidity [N m] that goes with it."""
+    exclusive("cloth", threads, sheet)
+    exclusive("cloth", threads | sheet, springs)
+    given = {name: at_least_0(f"cloth.{name}", value) for name, value in threads.items() if name != "coupling"}
+    if any(value is not None for value in threads.values()):
+        if given["warp"] is None:
+            raise SceneError("cloth.warp", says="is missing; weft, shear and coupling go with it")
+        weft = given["weft"] if given["weft"] is not None else given["warp"]
+        shear = given["shear"] if given["shear"] is not None else SHEAR_PART * given["warp"]
+        coupling = threads["coupling"]
+        both = 0.0 if coupling is None else validation.number("cloth.coupling", coupling)
+        return cloth_material.Weave(given["warp"], weft, shear, both), rigidity
+    if all(value is None for value in sheet.values()):
+        return None, rigidity
+    for name in ("young_modulus", "thickness"):
+        if sheet[name] is None:
+            raise SceneError(f"cloth.{name}", says="is missing; a sheet of triangles has young_modulus and thickness")
+    modulus, thick = (
+        validation.number(f"cloth.{name}", sheet[name], positive=True) for name in ("young_modulus", "thickness")
+    )
+    given_ratio = sheet["poisson_ratio"]
+    ratio = 0.3 if given_ratio is None else validation.number("cloth.poisson_ratio", given_ratio, low=-0.999, high=0.5)
+    plane = modulus * thick / (1 - ratio**2)
+    plate = plane * thick**2 / 12 if rigidity is None else rigidity
+    return cloth_material.Weave(plane, plane, 0.5 * (1 - ratio) * plane, ratio * plane), plate
 
 
 def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) -> cloth_material.Fabric:
@@ -189,7 +270,8 @@ def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None) -> tup
     points = np.stack([i * spacing[0], np.zeros(i.shape), j * spacing[1]], axis=-1).reshape(-1, 3)
     index = np.arange(i.size).reshape(number)
     here, right, up, across = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]
-    corners = [here, up, right], [right, up, across]  # seen from +y
+    turn = cloth_material.turned(number)
+    corners = [here, up, np.where(turn, across, right)], [right, np.where(turn, here, up), across]  # seen from +y
     triangles = np.concatenate([np.stack([c.ravel() for c in three], axis=1) for three in corners])
     uv = np.stack([i, j], axis=-1).reshape(-1, 2) / (np.array(number) - 1)
     return meshes.Surface(points, triangles), number, spacing, extent, uv
@@ -206,7 +288,7 @@ def _springs(surface: meshes.Surface, grid: Any) -> tuple[list[Springs], Springs
     number = grid[1]
     index = np.arange(number[0] * number[1]).reshape(number)
     sides = Springs(lattice_pairs(number, (1, 0), (0, 1)), 1.0)
-    diagonals = Springs(lattice_pairs(number, (1, 1), (1, -1)), SHEAR_SHARE)
+    diagonals = Springs(cloth_material.diagonals(index), SHEAR_SHARE)
     bends = bends_along(index, 1.0).plus(bends_along(index.T, 1.0))
     return [sides, diagonals], Springs(np.zeros((0, 2), dtype=np.int64), 0.0), bends
 

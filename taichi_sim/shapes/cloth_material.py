@@ -6,6 +6,7 @@ stiffness C44 [N/m] and a bending rigidity [N m]; see physics.md, "Elastic bodie
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +14,24 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface, hinges, unique_edges
+from taichi_sim.scene.membranes import flattened
 from taichi_sim.shapes.base import Bends, bends_along
 
-__all__ = ["Fabric", "Parts", "mesh_bends", "of_mesh", "of_sheet", "tension_shares"]
+__all__ = [
+    "Fabric",
+    "Parts",
+    "Weave",
+    "along_warp",
+    "diagonals",
+    "mesh_bends",
+    "of_mesh",
+    "of_sheet",
+    "of_triangles",
+    "tension_shares",
+    "turned",
+]
 
+WARP_ACROSS = 0.9  # cosine between a triangle's normal and the warp, from which on the warp lies across
 FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 
 
@@ -27,6 +42,15 @@ class Fabric(NamedTuple):
     stretch: float  # N/m
     shear: float  # N/m
     rigidity: float  # N m
+
+
+class Weave(NamedTuple):
+    """Stiffness of a sheet of triangles, see Scene.add_membranes [N/m]."""
+
+    warp: float
+    weft: float
+    shear: float
+    coupling: float
 
 
 class Parts(NamedTuple):
@@ -56,6 +80,24 @@ def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
     return Parts(mass, springs, bends)
 
 
+def of_triangles(surface: Surface, grid: tuple[tuple[int, int], NDArray] | None, fabric: Fabric) -> Parts:
+    """A mesh, or a grid of so many balls with its spacing, without the springs whose place triangles take: only those across the
+    folded edges of a mesh are left."""
+    if grid is None:
+        parts = of_mesh(surface, fabric)
+        return parts._replace(springs=parts.springs[1:])
+    return Parts(_sheet_masses(*grid, fabric), [], _sheet_bends(*grid, fabric.rigidity))
+
+
+def along_warp(surface: Surface, angle: float) -> NDArray[np.float64]:
+    """Corners (t, 3, 2) [m] of triangles in their planes, u along a warp that lies `angle` [rad] from x toward z."""
+    x = surface.vertices[surface.triangles]
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    warp = np.array([np.cos(angle), 0.0, np.sin(angle)])
+    facing = np.abs(normal @ warp) > WARP_ACROSS * np.linalg.norm(normal, axis=1)
+    return flattened(x, np.where(facing[:, None], np.array([-np.sin(angle), 0.0, np.cos(angle)]), warp))
+
+
 def _borders(number: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Parts of a spacing that each line of balls along x and along z has beside it: 1, or 1/2 at the ends."""
     parts = []
@@ -74,9 +116,9 @@ def _sheet_masses(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> 
 def _sheet_springs(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> list[tuple[NDArray, NDArray]]:
     """Pairs (m, 2) and stiffness (m,) [N/m] of the sides and the diagonals of a grid.
 
-    Both diagonals of a rectangle a x b, L long, with k each, give C12 = C44 = 2 k a b / L^2 and C11 = C44 (a/b)^2 along a; the
-    sides give k a / b more. Sides at the border count half. Raises SceneError for a shear stiffness that leaves nothing for the
-    sides.
+    The diagonals of rectangles a x b, L long, one of each, with k, give C12 = C44 = k a b / L^2 and C11 = C44 (a/b)^2 along a;
+    the sides give k a / b more. Sides at the border count half. Raises SceneError for a shear stiffness that leaves nothing for
+    the sides.
     """
     index = np.arange(number[0] * number[1]).reshape(number)
     a, b = spacing
@@ -91,14 +133,22 @@ def _sheet_springs(number: tuple[int, int], spacing: NDArray, fabric: Fabric) ->
         grid = index if axis == 0 else index.T
         pairs = np.stack([grid[:-1].ravel(), grid[1:].ravel()], axis=1)
         sides.append((pairs, k * np.broadcast_to(part, grid[1:].shape).ravel()))
-    diagonals = np.concatenate(
-        [
-            np.stack([index[:-1, :-1].ravel(), index[1:, 1:].ravel()], axis=1),
-            np.stack([index[1:, :-1].ravel(), index[:-1, 1:].ravel()], axis=1),
-        ]
-    )
-    each = fabric.shear * (a * a + b * b) / (2 * a * b)
-    return [*sides, (diagonals, np.full(len(diagonals), each))]
+    across = diagonals(index)
+    return [*sides, (across, np.full(len(across), fabric.shear * (a * a + b * b) / (a * b)))]
+
+
+def turned(number: Sequence[int]) -> NDArray[np.bool_]:
+    """Mask of the squares of a grid of so many balls that are cut from the first corner to the last; the others are cut the other
+    way. In turns, as chequers are coloured: cut all alike a sheet would shear where it is pulled, and cut both ways it could not
+    fold."""
+    return np.asarray(np.add.outer(*(np.arange(n - 1) for n in number)) % 2 == 0)
+
+
+def diagonals(index: NDArray) -> NDArray[np.int64]:
+    """Balls (m, 2) at the ends of the cuts of all squares of a grid of balls."""
+    turn = turned(index.shape)
+    ends = (np.where(turn, index[:-1, :-1], index[:-1, 1:]), np.where(turn, index[1:, 1:], index[1:, :-1]))
+    return np.stack([end.ravel() for end in ends], axis=1)
 
 
 def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> Bends:

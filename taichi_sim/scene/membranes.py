@@ -1,0 +1,162 @@
+"""Membranes: triangles of woven fabric or of a sheet that resist stretch and shear in their plane."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
+from taichi_sim.scene.columns import Column
+from taichi_sim.scene.part import Columns, Element, Quadratic
+
+__all__ = ["MEMBRANES", "MembraneMethods", "flattened"]
+
+Floats = NDArray[np.float64]
+ROOM = 1.5  # times the stiffness at rest: what a sheet has that is stretched by a seventh
+FLAT = 1e-9  # of the square of the longest edge: a triangle of less area has none
+
+
+class MembraneMethods:
+    """The part of a Scene that holds membranes."""
+
+    membranes = Column("membranes", "corners", "(t, 3) balls of each membrane", (3,), np.int32)
+    membrane_rest = Column("membranes", "rest", "(t, 3, 2) m, its corners in the plane of the fabric at rest", (3, 2))
+    membrane_warp = Column("membranes", "warp", "(t,) N/m")
+    membrane_weft = Column("membranes", "weft", "(t,) N/m")
+    membrane_shear = Column("membranes", "shear", "(t,) N/m")
+    membrane_coupling = Column("membranes", "coupling", "(t,) N/m")
+    membrane_damping = Column("membranes", "damping", "(t,) s")
+
+    def add_membranes(
+        self: Any,
+        corners: ArrayLike,
+        *,
+        warp: ArrayLike,
+        weft: ArrayLike | None = None,
+        shear: ArrayLike | None = None,
+        coupling: ArrayLike = 0.0,
+        damping: ArrayLike = 0.0,
+        rest: ArrayLike | None = None,
+    ) -> NDArray[np.int32]:
+        """Add t triangles of an orthotropic St. Venant-Kirchhoff membrane in 3D and return their indices, shape (t,).
+
+        With the Green strains E_uu along the warp, E_vv along the weft and E_uv between them a triangle stores per area at rest
+        (warp E_uu^2 + weft E_vv^2) / 2 + coupling E_uu E_vv + 2 shear E_uv^2. It has no resistance to bending.
+
+        Args:
+            corners: (t, 3) balls, or one triangle.
+            warp: force per width and strain along the warp, with the strain across kept at 0, one or one per triangle, >= 0
+                [N/m].
+            weft: the same along the weft [N/m]; the warp's by default.
+            shear: force per width and angle of shear [N/m]; by default (warp - coupling) / 2, that of an isotropic sheet.
+            coupling: force per width along the weft, and strain along the warp [N/m]; its square is at most warp times weft.
+            damping: time by which stresses of the rate of strain are those of strain, one or one per triangle, >= 0 [s].
+            rest: (t, 3, 2) corners at rest in the plane of the fabric, u along the warp [m]; None: the present shape, its warp
+                along the first two corners.
+        """
+        if self.dim != 3:
+            raise SceneError("membranes", says="a membrane needs a scene with dim = 3")
+        ij = validation.indices("membranes.corners", validation.many(corners, 1), self.n_balls, width=3)
+        t = len(ij)
+        flat = flattened(self.position[ij]) if rest is None else _places(rest, t)
+        edges = flat[:, 1:] - flat[:, :1]
+        thin = np.linalg.det(edges) <= FLAT * np.sum(edges**2, axis=(1, 2))
+        if thin.any():
+            k = int(np.argmax(thin))
+            says = "has no area at rest, or its corners at rest are not in counter-clockwise order"
+            raise SceneError(f"membranes.corners[{k}]", ij[k], says=says)
+        one = validation.per_item("membranes.warp", warp, t, low=0)
+        other = one if weft is None else validation.per_item("membranes.weft", weft, t, low=0)
+        both = validation.per_item("membranes.coupling", coupling, t)
+        over = both**2 > one * other * (1.0 + 1e-9)
+        if over.any():
+            k = int(np.argmax(over))
+            allowed = f"at most {np.sqrt(one[k] * other[k]):.4g}, the root of warp times weft, and at least minus that"
+            raise SceneError(f"membranes.coupling[{k}]", both[k], allowed)
+        if shear is None and np.any(one != other):
+            raise SceneError("membranes.shear", says="is missing; only where warp and weft are alike it has a default")
+        angle = 0.5 * (one - both) if shear is None else validation.per_item("membranes.shear", shear, t, low=0)
+        loss = validation.per_item("membranes.damping", damping, t, low=0)
+        first = len(self.membranes)
+        columns = {"warp": one, "weft": other, "shear": angle, "coupling": both, "damping": loss}
+        self.tables["membranes"].append(t, corners=ij, rest=flat, **columns)
+        return np.arange(first, first + t, dtype=np.int32)
+
+
+def _places(rest: ArrayLike, t: int) -> Floats:
+    """`rest` (t, 3, 2), checked."""
+    places = validation.as_array(rest)
+    if places.shape == (3, 2):
+        places = places[None]
+    if places.shape != (t, 3, 2):
+        raise SceneError("membranes.rest", says=f"shape {places.shape} does not fit; it must be ({t}, 3, 2)")
+    return validation.vectors("membranes.rest", places.reshape(3 * t, 2), 3 * t, 2).reshape(t, 3, 2)
+
+
+def flattened(x: Floats, direction: Floats | None = None) -> Floats:
+    """Corners (t, 3, 2) [m] of triangles x (t, 3, 3) in their own planes, u along `direction` (t, 3) or, without it, along the
+    first edge."""
+    one, two = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    normal = np.cross(one, two)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    along = one if direction is None else direction - np.einsum("ti,ti->t", direction, normal)[:, None] * normal
+    u = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    axes = np.stack([u, np.cross(normal, u)], axis=2)
+    return np.einsum("tki,tia->tka", x - x[:, :1], axes)
+
+
+def shape_gradients(rest: Floats) -> tuple[Floats, Floats]:
+    """Gradients (t, 3, 2) [1/m] of the linear functions that are 1 at a corner, and areas (t,) [m^2], of triangles at rest."""
+    edges = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)
+    inverse = np.linalg.inv(edges)
+    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), 0.5 * np.linalg.det(edges)
+
+
+class _Membranes(Columns, Element):
+    name, method, counted = "membranes", "add_membranes", ("corners",)
+    assumed: ClassVar = {"damping": 0.0}
+    is_implicit = True
+    features: ClassVar = {"damping of membranes": lambda scene: np.any(scene.membrane_damping > 0)}
+
+    def energies(self, scene: Any, x: Floats, whole: NDArray[np.bool_]) -> list[float]:
+        gradient, area = shape_gradients(scene.membrane_rest)
+        f = np.einsum("tki,tka->tia", x[scene.membranes], gradient)
+        e = 0.5 * (np.einsum("tia,tib->tab", f, f) - np.eye(2))
+        u, v, uv = e[:, 0, 0], e[:, 1, 1], e[:, 0, 1]
+        stored = 0.5 * (scene.membrane_warp * u * u + scene.membrane_weft * v * v)
+        stored += scene.membrane_coupling * u * v + 2.0 * scene.membrane_shear * uv * uv
+        return [float(np.sum((area * stored)[whole]))]
+
+    def stiffness(self, scene: Any) -> list[Quadratic]:
+        """Quadratic forms of the present shape, with room for stretching."""
+        return self._forms(scene, np.full(len(scene.membranes), ROOM))
+
+    def damping(self, scene: Any) -> list[Quadratic]:
+        return self._forms(scene, ROOM * scene.membrane_damping)
+
+    def _forms(self, scene: Any, factor: Floats) -> list[Quadratic]:
+        """Forms of the strains along both axes that a stress goes with alone, and of the angle of shear."""
+        gradient, area = shape_gradients(scene.membrane_rest)
+        f = np.einsum("tki,tka->tia", scene.position[scene.membranes], gradient)
+        along = np.einsum("tka,tia->tkia", gradient, f)  # what a strain E_aa is of each corner's place
+        law = np.empty((len(area), 2, 2))
+        law[:, 0, 0], law[:, 1, 1] = scene.membrane_warp, scene.membrane_weft
+        law[:, 0, 1] = law[:, 1, 0] = scene.membrane_coupling
+        strength, axis = np.linalg.eigh(law)
+        forms = [
+            Quadratic(
+                scene.membranes,
+                np.einsum("tkia,ta->tki", along, axis[:, :, k]),
+                factor * area * np.maximum(strength[:, k], 0.0),
+            )
+            for k in range(2)
+        ]
+        angle = np.einsum("tka,tib->tkiab", gradient, f)
+        angle = angle[..., 0, 1] + angle[..., 1, 0]
+        return [*forms, Quadratic(scene.membranes, angle, factor * area * scene.membrane_shear)]
+
+
+MEMBRANES = _Membranes()

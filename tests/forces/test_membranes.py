@@ -1,0 +1,192 @@
+"""Membranes: their law, forces and damping, what implicit methods make of them, and sheets and meshes of them."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate
+
+import taichi_sim as ts
+from taichi_sim.integrators import TRBDF2, ImplicitEuler
+from taichi_sim.scene.membranes import MEMBRANES
+
+LAW = {"warp": 300.0, "weft": 120.0, "shear": 40.0, "coupling": 70.0}  # N/m
+MATRIX = np.array([[300.0, 70.0, 0.0], [70.0, 120.0, 0.0], [0.0, 0.0, 40.0]])  # of E_uu, E_vv, 2 E_uv
+
+
+def strain(slope):
+    """(E_uu, E_vv, 2 E_uv) of the derivative (..., 3, 2) of places."""
+    e = 0.5 * (np.swapaxes(slope, -1, -2) @ slope - np.eye(2))
+    return np.stack([e[..., 0, 0], e[..., 1, 1], 2.0 * e[..., 0, 1]], axis=-1)
+
+
+def energy(scene, x):
+    return MEMBRANES.energies(scene, x, np.ones(len(scene.membranes), dtype=bool))[0]
+
+
+def irregular(n=4, disturbed=0.0, **more):
+    """A scene with a square of 1 m, cut irregularly, at rest where `flat` (n^2, 2) says, and its balls at its border."""
+    rng = np.random.default_rng(5)
+    i, j = (axis.ravel() for axis in np.meshgrid(*2 * [np.arange(n)], indexing="ij"))
+    border = (i == 0) | (j == 0) | (i == n - 1) | (j == n - 1)
+    flat = np.stack([i, j], axis=1) / (n - 1) + ~border[:, None] * rng.uniform(-0.2, 0.2, (n * n, 2)) / (n - 1)
+    index = np.arange(n * n).reshape(n, n)
+    here, right, up, across = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]
+    triangles = np.concatenate(
+        [np.stack([c.ravel() for c in t], axis=1) for t in ([here, right, across], [here, across, up])]
+    )
+    scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+    slope = np.array([[1.1, 0.2], [-0.1, 0.9], [0.3, -0.2]])
+    x = flat @ slope.T + disturbed * ~border[:, None] * rng.normal(size=(n * n, 3))
+    pinned = border if more.pop("held", False) else False
+    scene.add_balls(
+        x, radius=0.01, mass=rng.uniform(0.01, 0.03, n * n), velocity=rng.normal(size=(n * n, 3)), pinned=pinned
+    )
+    scene.add_membranes(triangles, rest=flat[triangles], **(LAW | more))
+    return scene, flat @ slope.T
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("resolution", [(2, 2), (6, 4)])
+def test_a_sheet_stores_what_its_law_says_at_any_strain_and_angle(resolution):
+    """Uniaxial along and across the threads, shear, biaxial, compressed; turned as a whole: nothing."""
+    for angle in (0.0, 35.0):
+        scene = ts.Scene(dim=3)
+        ts.shapes.cloth(scene, (0.8, 0.5), resolution, warp_angle=angle, **LAW)
+        x, axes = scene.position, np.radians(angle)
+        u, v = np.array([np.cos(axes), 0.0, np.sin(axes)]), np.array([np.sin(axes), 0.0, -np.cos(axes)])
+        turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+        for slope in (
+            [[1.3, 0], [0, 1]],
+            [[1, 0], [0, 1.2]],
+            [[1, 0.4], [0, 1]],
+            [[0.7, 0.1], [0, 1.1]],
+            [[1, 0], [0, 1]],
+        ):
+            f = np.array(slope, dtype=float)
+            moved = (np.outer(x @ u, u * f[0, 0] + v * f[1, 0]) + np.outer(x @ v, u * f[0, 1] + v * f[1, 1])) @ turn.T
+            e = strain(f)
+            assert energy(scene, moved) == pytest.approx(0.8 * 0.5 * 0.5 * e @ MATRIX @ e, rel=1e-12, abs=1e-25)
+
+
+@pytest.mark.once
+def test_the_energy_of_a_smooth_shape_converges_with_order_2():
+    found = []
+    for n in (5, 9, 17, 33):
+        scene = ts.Scene(dim=3)
+        ts.shapes.cloth(scene, (1.0, 1.0), (n, n), **LAW)
+        x, z = scene.position[:, 0], scene.position[:, 2]
+        found.append(energy(scene, np.stack([x + 0.1 * np.sin(2 * z), 0.2 * x * z + 0.1 * x**2, 1.1 * z], axis=1)))
+    error = np.abs(np.diff(found))
+    assert np.log2(error[:-1] / error[1:]) == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.once
+def test_a_modulus_and_a_thickness_make_an_isotropic_sheet_and_a_mesh_of_any_directions():
+    young, ratio, thick = 2e6, 0.4, 1e-3
+    scene = ts.Scene(dim=3)
+    sheet = ts.shapes.cloth(scene, (1.0, 0.5), (5, 4), young_modulus=young, thickness=thick, poisson_ratio=ratio)
+    x, small = scene.position, 1e-6
+    pulled = x @ np.diag([1.0 + small, 1.0, 1.0 - ratio * small])  # free across
+    assert energy(scene, pulled) == pytest.approx(0.5 * young * thick * 0.5 * small**2, rel=1e-4)
+    assert scene.bend_stiffness.max() > 0.0
+    assert scene.n_springs == 0
+    other = ts.Scene(dim=3)
+    turned = x @ np.array([[0, 0, 1], [0.6, 0.8, 0], [-0.8, 0.6, 0]])
+    ts.shapes.cloth(other, mesh=(turned, sheet.triangles), young_modulus=young, thickness=thick, poisson_ratio=ratio)
+    more = np.random.default_rng(0).normal(size=x.shape) * 0.05
+    assert energy(other, turned + more) == pytest.approx(energy(scene, (turned + more)), rel=1e-9)
+
+
+def test_forces_are_the_derivatives_of_energy_and_dissipation():
+    scene, _ = irregular(disturbed=0.03, damping=0.02)
+    h, small, x, v = 1e-6 if F64 else 1e-3, 1e-6, scene.position, scene.velocity
+
+    def loss(v):
+        gradient = np.linalg.inv(
+            np.swapaxes(np.diff(scene.membrane_rest, axis=1, prepend=0)[:, 1:].cumsum(axis=1), 1, 2)
+        )
+        edges = [np.swapaxes(y[scene.membranes[:, 1:]] - y[scene.membranes[:, :1]], 1, 2) for y in (x, v)]
+        f, df = (e @ gradient for e in edges)
+        rate = np.stack([np.sum(f[..., a] * df[..., b], axis=1) for a, b in ((0, 0), (1, 1), (0, 1), (1, 0))], axis=1)
+        rate = np.stack([rate[:, 0], rate[:, 1], rate[:, 2] + rate[:, 3]], axis=1)
+        area = 0.5 / np.linalg.det(gradient)
+        return 0.5 * 0.02 * np.sum(area * np.einsum("ta,ab,tb->t", rate, MATRIX, rate))
+
+    want = np.zeros_like(x)
+    for at in np.ndindex(*x.shape):
+        step = np.zeros_like(x)
+        step[at] = small
+        want[at] = -(energy(scene, x + step) - energy(scene, x - step) + loss(v + step) - loss(v - step)) / (2 * small)
+    with simulate(scene, integrator="symplectic_euler", dt=h, contacts="off") as sim:
+        sim.step(1)
+        found = scene.mass[:, None] * (sim.velocity - v) / h
+        assert np.abs(found.sum(axis=0)).max() < (1e-8 if F64 else 1e-3) * np.abs(want).max()
+    assert np.abs(found - want).max() < (1e-7 if F64 else 1e-3) * np.abs(want).max()
+
+
+def test_patch_test():
+    """An irregular sheet whose border is held where a homogeneous strain has it comes to that strain inside, exactly."""
+    scene, exact = irregular(disturbed=0.05, held=True, damping=0.01)
+    with simulate(scene, integrator=ImplicitEuler(tolerance=1e-10 if F64 else 1e-5), dt=1.0, contacts="off") as sim:
+        assert sim.stability().dt_any_shape == np.inf
+        sim.step(40)
+        assert np.abs(sim.position - exact).max() < (1e-12 if F64 else 1e-5)
+        assert sim.energy().spring == pytest.approx(energy(scene, exact), rel=1e-12 if F64 else 1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [ImplicitEuler(), TRBDF2()])
+def test_crumpled_sheets_stay_bounded_at_any_step(method):
+    """Steel and silk, pressed together and folded, at the step of a frame and at one of a tenth of a second."""
+    for law in ({"warp": 1e6, "shear": 4e5, "coupling": 3e5}, {"warp": 100.0, "weft": 60.0, "shear": 2.0}):
+        scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+        ts.shapes.cloth(scene, (1.0, 1.0), (9, 9), mass_per_area=0.1, bending_rigidity=1e-6, **law)
+        x = scene.position @ np.diag([0.7, 1.0, 0.9]) + 0.02 * np.random.default_rng(1).normal(size=(81, 3))
+        for h in (1 / 60, 0.1):
+            with simulate(scene, integrator=method, dt=h, contacts="off") as sim:
+                sim.set_position(x)
+                start = sim.energy().total
+                for _ in range(4):
+                    sim.step(5)
+                    assert sim.energy().total < 1.001 * start
+                assert np.abs(sim.momentum()).max() < 1e-5 * np.sqrt(start * scene.mass.sum())
+
+
+@pytest.mark.slow
+def test_verlet_keeps_the_energy_of_a_sheet_at_the_step_it_finds():
+    scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
+    ts.shapes.cloth(scene, (0.6, 0.4), (7, 5), pinned=[0, 30], damping=0.0, mass_per_area=0.2, **LAW)
+    with simulate(scene, contacts="off", dt="auto") as sim:
+        start = sim.energy().total
+        sim.run(1.0)
+        assert sim.energy().kinetic > 0.01
+        assert abs(sim.energy().total - start) < 0.01 * sim.energy().kinetic
+
+
+@pytest.mark.once
+def test_scene_files_and_copies_hold_them(tmp_path):
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, (1.0, 1.0), (4, 5), warp_angle=20.0, break_strain=0.2, **LAW)
+    assert scene.n_springs == len(np.unique(np.sort(scene.pairs, axis=1), axis=0)) > 0  # of no stiffness, to tear
+    assert not scene.stiffness.any()
+    scene.save(tmp_path / "sheet.toml")
+    again = ts.load_scene(tmp_path / "sheet.toml")
+    for name in ("membranes", "membrane_rest", "membrane_warp", "membrane_coupling", "membrane_damping"):
+        assert np.array_equal(getattr(again, name), getattr(scene, name))
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"weft": 1.0}, r"cloth\.warp: is missing"),
+        ({"warp": 1.0, "stretch_stiffness": 1.0}, r"cloth\.warp: does not go with stretch_stiffness"),
+        ({"young_modulus": 1e6}, r"cloth\.thickness: is missing"),
+        ({"young_modulus": 1e6, "warp": 1.0}, r"cloth\.warp: does not go with young_modulus"),
+        ({"warp": 4.0, "weft": 1.0, "coupling": 2.1}, r"membranes\.coupling\[0\]"),
+    ],
+)
+def test_refusals(given, message):
+    scene = ts.Scene(dim=3)
+    with pytest.raises(ts.SceneError, match=message):
+        ts.shapes.cloth(scene, (1.0, 1.0), (3, 3), **given)
+    assert scene.n_balls == 0
