@@ -1,4 +1,4 @@
-"""A pudding of a million tetrahedra wobbles on a plate that is shaken."""
+"""A pudding of half a million bricks wobbles on a plate that is shaken."""
 
 import numpy as np
 

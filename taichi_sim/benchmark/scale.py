@@ -55,7 +55,7 @@ def _steps(title: str, unit: str, units: int, add: Callable[[Scene], object], ar
     frame = float(np.median(seconds)) / (FPS * simulation.dt)
     size = sum(breakdown(simulation).values())
     report.notes += [
-        f"{scene.n_balls} balls, {scene.n_springs} springs, {len(scene.cells)} cells: shape {described:.1f} s, simulation"
+        f"{scene.n_balls} balls, {scene.n_springs} springs, {len(scene.cells)} cells, {len(scene.bricks)} bricks: shape {described:.1f} s, simulation"
         f" {built - described:.1f} s, first step with compiling {ready - built:.1f} s",
         f"a step is {simulation.dt:.3g} s, so a frame of 1/{FPS:g} s takes {frame:.3g} s",
         f"fields {size / 1e9:.2f} GB; the process at most {_peak():.2f} GB so far, goal < 12",
@@ -102,16 +102,16 @@ def real_time_report(quick: bool, arch: str = "cpu") -> Report:
 
 
 def jelly_report(quick: bool, arch: str = "cpu") -> Report:
-    """A cube of jelly of a million tetrahedra on the floor."""
-    n = 6 if quick else 81  # balls along a side; two cells in each box
+    """A cube of jelly of half a million bricks on the floor."""
+    n = 6 if quick else 81  # balls along a side
 
     def add(scene: Scene) -> None:
         material: dict[str, Any] = {"density": 1000.0, "young_modulus": 1e5, "poisson_ratio": 0.4}
         shapes.jelly(scene, size=(1, 1, 1), resolution=(n, n, n), position=(0, 0.01, 0), **material)
         scene.add_wall((0, 1, 0))
 
-    cells = 2 * (n - 1) ** 3
-    return _steps(f"jelly: {cells} tetrahedra in a cube", "cell-step", cells, add, arch)
+    bricks = (n - 1) ** 3
+    return _steps(f"jelly: {bricks} bricks in a cube", "brick-step", bricks, add, arch)
 
 
 def _falling_cloth(side: float, height: float, n: int, **options: Any) -> Scene:

@@ -28,6 +28,8 @@ class StageElements:
         self.back = fields.table(dict.fromkeys(("x", "v"), vector), n)
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
+        for one in elements:
+            one.allocate_derivatives(fields)
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):

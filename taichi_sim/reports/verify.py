@@ -85,7 +85,7 @@ def _cloth() -> Scene:
 
 def _jelly() -> Scene:
     scene = Scene(dim=3, gravity=(0.0, -10.0, 0.0))
-    made: dict[str, Any] = {"young_modulus": 2e4, "poisson_ratio": 0.35, "damping": 2.0}
+    made: dict[str, Any] = {"stiffness": 1200.0, "damping": 2.0}
     jelly = shapes.jelly(scene, (0.4, 0.3, 0.3), (4, 3, 3), position=(0.0, 0.5, 0.0), **made)
     scene.set_balls(jelly.balls, pinned=scene.position[jelly.balls, 0] < 0.01)
     return scene
