@@ -53,12 +53,12 @@ class Implicit(Integrator):
         """Statistics from the numbers that the solver keeps; None without springs, where there is nothing to solve."""
         if not self.has_springs:
             return None
-        n = self.solver.number[0]
+        n = self.solver.tally[0]
         return SolverStatistics(self.tolerance, int(n.solved), int(n.passes), float(n.worst), int(n.misses))
 
     def counters(self) -> list[Any]:
         """The numbers that the solver keeps."""
-        return [self.solver.number] if self.has_springs else []
+        return [self.solver.tally] if self.has_springs else []
 
     def remembers(self) -> bool:
         """True after the first step."""
