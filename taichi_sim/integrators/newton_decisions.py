@@ -31,7 +31,7 @@ GAIN_WINDOW = 0.2  # part of the iterations so far, the last ones, whose gains t
 SLOW_MODES_PART = 0.2  # of the tolerance, where slow modes are solved last and the residual hides them
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
-GIVEN_PART = 0.5  # of the energy that a step of the method takes: what its solution may give back
+GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
@@ -89,8 +89,9 @@ class Verdicts:
 
     What a solution leaves may not give energy. With the residual r = m (q - v) + s F, the equation of implicit Euler times v says
     that energy changes by -r . v - m (v - v0)^2 / 2 less what convexity and damping take: -r . v has to stay below a part of the
-    second term, in the stages of TR-BDF2, too. The norm of r cannot see this: it divides what a stiff spring leaves by s^2 k, and
-    a spring that rotates in a step has v along it. What r gives counts in the frame of the body.
+    second term; in the stages of TR-BDF2, which takes less, below a smaller one. The norm of r cannot see this: it divides what
+    a stiff spring leaves by s^2 k, and a spring that rotates in a step has v along it. What r gives counts in the frame of the
+    body.
     """
 
     number: Any  # (bodies) of NUMBERS
@@ -267,7 +268,7 @@ class Verdicts:
         that is more than the method takes, where that is not rounding."""
         given, taken = self.bodies.total(self.part.given, b), self.bodies.total(self.part.taken, b)
         moving = self.bodies.total(self.part.moving, b)
-        self.number[b].excess = ti.max(0.0, given - GIVEN_PART * taken - self.rounding * moving)
+        self.number[b].excess = ti.max(0.0, given - ti.static(GIVEN_PARTS[self.order]) * taken - self.rounding * moving)
         gain = given - taken
         gained = 0.0 * gain
         if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > 0.0:
