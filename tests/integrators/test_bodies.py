@@ -8,6 +8,7 @@ from taichi_sim.kernels import reductions
 import taichi_sim as ts
 from taichi_sim.integrators import bodies
 from taichi_sim.integrators.coarse_preconditioner import FEWEST_BALLS
+from taichi_sim.integrators.implicit_euler import ImplicitEuler
 
 LONE = 3  # balls that nothing joins
 
@@ -61,9 +62,9 @@ def test_a_body_does_not_depend_on_another(method, number):
 @pytest.mark.filterwarnings("ignore")
 def test_a_body_does_not_depend_on_another_where_launches_run_ahead(monkeypatch):
     """As on a device: sums by groups, and bodies that go on while others still search."""
-    expected = after(beside(6, {}), 6, "implicit_euler")
+    expected = after(beside(6, {}), 6, ImplicitEuler(1e-4))
     monkeypatch.setattr(reductions, "on_device", lambda: True)
-    found = [after(beside(6, other), 6, "implicit_euler", GATHERED) for other in OTHERS[:3]]
+    found = [after(beside(6, other), 6, ImplicitEuler(1e-4), GATHERED) for other in OTHERS[:3]]
     assert np.array_equal(found[1], found[0])
     assert np.array_equal(found[2], found[0])
     assert found[0] == pytest.approx(expected, abs=1e-3)
