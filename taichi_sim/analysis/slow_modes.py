@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import Method
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Decay", "not_worked_out", "slow_decays"]
@@ -37,8 +38,8 @@ def not_worked_out(scene: Scene) -> str:
     if not scene.n_springs or not free:
         return ""
     if any(element_rates(scene)):
-        kinds = {"cells": scene.cells, "bending": scene.bends, "gas": scene.gases}
-        return f"only springs are analysed, and this scene has {', '.join(name for name, some in kinds.items() if len(some))}"
+        names = [one.name for one in ELEMENTS if one.acts(scene)]
+        return f"only springs are analysed, and this scene has {', '.join(names)}"
     return f"{free} free balls are more than the {MOST // scene.dim} analysed" if free * scene.dim > MOST else ""
 
 

@@ -77,6 +77,11 @@ class Corners:
         """True if implicit methods solve for its forces, as it gives their derivatives."""
         return type(self).corner_product is not Corners.corner_product
 
+    @property
+    def couples(self) -> bool:
+        """True if it gives `corner_coupling`."""
+        return type(self).corner_coupling is not Corners.corner_coupling
+
     @ti.func
     def is_whole(self, e):
         """True if the element of row e is whole."""
@@ -134,6 +139,12 @@ class Corners:
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block (dim, dim) of s^2 K + s D [kg] that joins ball i to itself, of the element of a row."""
+        return ti.Matrix.zero(float, self.dim, self.dim)
+
+    @ti.func
+    def corner_coupling(self, ball: ti.template(), i, row, t: ti.template(), s):
+        """Block (dim, dim) of s^2 K + s D [kg] that joins ball i to other corner number t of the element of a row. Not needed:
+        it makes the preconditioner better. Where it is given, rows of K sum to 0."""
         return ti.Matrix.zero(float, self.dim, self.dim)
 
     @ti.func

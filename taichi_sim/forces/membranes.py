@@ -155,14 +155,31 @@ class Membranes(Corners):
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block of a corner."""
-        t, k = row.place // 3, row.place % 3
+        return self._block(row.place // 3, row.place % 3, row.place % 3, s)
+
+    @ti.func
+    def corner_coupling(self, ball: ti.template(), i, row, t: ti.template(), s):
+        """Block of a corner and another one."""
+        return self._block(row.place // 3, row.place % 3, (row.place % 3 + 1 + t) % 3, s)
+
+    @ti.func
+    def _gradient(self, of, k):
+        """g_k [1/m]."""
+        first, second = ti.Vector([of.bu, of.bv]), ti.Vector([of.cu, of.cv])
+        return ti.select(k == 1, first, ti.select(k == 2, second, -(first + second)))
+
+    @ti.func
+    def _block(self, t, k, l, s):
+        """Block of corners k and l of triangle t."""
         of, state = self.triangle[t], self.state[t]
-        a = ti.select(k == 1, of.bu, ti.select(k == 2, of.cu, -(of.bu + of.cu)))
-        b = ti.select(k == 1, of.bv, ti.select(k == 2, of.cv, -(of.bv + of.cv)))
-        uu, vv = of.warp * a * a + of.shear * b * b, of.weft * b * b + of.shear * a * a
-        uv, u, v = (of.coupling + of.shear) * a * b, state.u, state.v
-        block = uu * u.outer_product(u) + vv * v.outer_product(v) + uv * (u.outer_product(v) + v.outer_product(u))
-        pull = state.stress[0] * a * a + state.stress[1] * b * b + 2.0 * state.stress[2] * a * b
+        g, d = self._gradient(of, k), self._gradient(of, l)
+        u, v = state.u, state.v
+        block = (of.warp * g[0] * d[0] + of.shear * g[1] * d[1]) * u.outer_product(u)
+        block += (of.weft * g[1] * d[1] + of.shear * g[0] * d[0]) * v.outer_product(v)
+        block += (of.coupling * g[0] * d[1] + of.shear * g[1] * d[0]) * u.outer_product(v)
+        block += (of.coupling * g[1] * d[0] + of.shear * g[0] * d[1]) * v.outer_product(u)
+        pull = state.stress[0] * g[0] * d[0] + state.stress[1] * g[1] * d[1]
+        pull += state.stress[2] * (g[0] * d[1] + g[1] * d[0])
         return of.area * (self._factor(of, s) * block + s * s * pull * ti.Matrix.identity(float, 3))
 
 

@@ -4,7 +4,7 @@ A block of the diagonal sees a ball and its neighbours, so what moves many balls
 balls across. Aggregates of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
 movement of aggregates to that of balls. Their matrix is small and solved directly; springs within an aggregate drop out of it.
 No aggregate has balls of two bodies, so that the matrix is one for each body.
-Elements that belong to several aggregates enter by a bound: x^T K x is at most the sum of the k blocks of the diagonal, times k.
+Elements that do not tell what joins their corners enter by a bound for it.
 """
 
 from typing import Any
@@ -18,6 +18,7 @@ from taichi_sim.device.model import Model
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies
 from taichi_sim.kernels import reductions
+from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.reductions import each_part
 
 __all__ = ["Aggregates", "bisected"]
@@ -128,8 +129,9 @@ class Aggregates:
             self.matrix[e] = 0.0
         own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
         if ti.static(self.has_elements):
-            for e in range(self.begin[c], self.begin[c + 1]):
-                own += ti.cast(self.elements.crossing(self.member[e], self.aggregate), self.wide)
+            for one in ti.static(self.elements.elements):
+                for e in range(self.begin[c], self.begin[c + 1]):
+                    own += self._assemble_element(one, c, self.member[e], row)
         for e in range(self.first[c], self.first[c + 1]):
             link = self.link[e]
             spring = self.spring_block[link.spring]
@@ -146,6 +148,32 @@ class Aggregates:
         for a in ti.static(range(dim)):
             for b in ti.static(range(dim)):
                 self.matrix[row + a * size + (c - block.first) * dim + b] = own[a, b]
+
+    @ti.func
+    def _assemble_element(self, one: ti.template(), c, i, row):
+        """Add to the rows of aggregate c, which begin at `row`, what the elements of a kind join its ball i to; returns what they
+        add to its own block."""
+        dim, s = ti.static(self.dim), self.elements.step[0]
+        block = self.block[self.block_of[c]]
+        own = ti.Matrix.zero(self.wide, dim, dim)
+        for k in range(one.start[i + 1] - one.start[i]):
+            e = list_entry(one, i, k)
+            corner = one.row[e]
+            for t in ti.static(range(len(one.corner_names))):
+                d = self.aggregate[getattr(corner, one.corner_names[t])]
+                if d != c and one.is_whole(e):
+                    if ti.static(one.couples):
+                        joint = ti.cast(one.corner_coupling(self.elements.there, i, corner, t, s), self.wide)
+                        own -= joint
+                        if d >= 0:
+                            for a, b in ti.static(ti.ndrange(dim, dim)):
+                                at = row + a * block.size + (d - block.first) * dim + b
+                                self.matrix[at] = self.matrix[at] + joint[a, b]
+                    else:
+                        own += ti.cast(one.corner_block(self.elements.there, i, corner, s), self.wide) * float(
+                            len(one.corner_names)
+                        )
+        return own
 
     @ti.func
     def solve(self, residual: ti.template()):

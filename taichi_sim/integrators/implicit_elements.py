@@ -65,22 +65,6 @@ class StageElements:
         return block
 
     @ti.func
-    def crossing(self, i, aggregate: ti.template()):
-        """Bound for what the elements at ball i add to the matrix of its aggregate [kg]: their blocks, times their corners, of
-        those that have corners in several."""
-        block = ti.Matrix.zero(float, self.dim, self.dim)
-        for one in ti.static(self.elements):
-            for t in range(one.start[i + 1] - one.start[i]):
-                e = list_entry(one, i, t)
-                row, crosses = one.row[e], 0
-                for name in ti.static(one.corner_names):
-                    if aggregate[getattr(row, name)] != aggregate[i]:
-                        crosses = 1
-                if crosses == 1 and one.is_whole(e):
-                    block += (1.0 + len(one.corner_names)) * one.corner_block(self.there, i, row, self.step[0])
-        return block
-
-    @ti.func
     def take_back(self, i, x, v, s):
         """Set `back` of ball i at x to where the stage would end at the velocity v."""
         self.back[i].x = x + s * v

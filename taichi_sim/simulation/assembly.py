@@ -529,7 +529,10 @@ class Assembly:
 
 
 def _is_small(scene: Scene) -> bool:
-    return scene.n_balls + scene.n_springs + 4 * (len(scene.cells) + len(scene.bends)) <= FUSED_UP_TO
+    return (
+        scene.n_balls + scene.n_springs + 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes)
+        <= FUSED_UP_TO
+    )
 
 
 def compensates(scene: Scene, backend: Backend) -> bool:

@@ -467,7 +467,7 @@ class Stepper:
 
     def _limiting(self, spring: int) -> str:
         if spring < 0:
-            return "cells, bending, gas and user-defined forces limit"
+            return "membranes, cells, bending, gas and user-defined forces limit"
         ends = pair_in_words(self.scene.objects, *self.scene.pairs[spring].tolist())
         return f"spring {spring} ({ends}) limits"
 
