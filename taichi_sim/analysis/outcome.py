@@ -58,7 +58,7 @@ def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
     found = {
         "restitution": any(m.restitution < 1.0 for m in made_of),
         "friction": any(m.friction > 0.0 or m.viscous_friction > 0.0 for m in made_of),
-        "damping": bool(scene.damping.any() or scene.bend_damping.any()),
+        "damping": bool(scene.damping.any() or scene.bend_damping.any() or scene.brick_viscosity.any()),
     }
     return tuple(name for name, takes in found.items() if takes)
 
@@ -68,7 +68,7 @@ def left_out(
 ) -> Iterator[str]:
     """Errors that another run of the same scene does not show. settled: what is known of its start at rest, or None. h: its step
     [s]; end: velocities (n, dim) at the end [m/s]."""
-    if len(scene.pairs) or len(scene.cells):
+    if len(scene.pairs) or len(scene.cells) or len(scene.bricks):
         yield "the mesh, see `taichi-sim report --resolutions`"
     velocities = [scene.velocity] + ([] if end is None else [end])
     if h * max(late_rate(scene, velocity) for velocity in velocities) > LATE:

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 
 __all__ = ["described", "unit_of"]
 
-_UNIT = r"(?:1|kg(?:/m(?:\^[23])?)?|m(?:\^[23]|/s(?:\^2)?)?|N(?: m\^2| s?/?m|/m| s)?|Pa(?: s)?|J|1/s|s|degrees(?: per second)?|pixels)"
+_NEWTONS = r"N(?: m\^2| s?/?m|/m| s)?|Pa(?: s)?"
+_UNIT = rf"(?:1|kg(?:/m(?:\^[23])?)?|m(?:\^[23]|/s(?:\^2)?)?|{_NEWTONS}|J|1/s|s|degrees(?: per second)?|pixels)"
 _FIRST = re.compile(rf"(?:\([^)]*\) )?({_UNIT})(?![\w/^])")
 _BRACKETS = re.compile(rf"\[({_UNIT})(?:, in 2D [^\]]*)?\]")
 

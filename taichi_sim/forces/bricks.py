@@ -10,6 +10,8 @@ from taichi_sim.scene.bricks import lame, laws, neo_hookean
 
 __all__ = ["Bricks"]
 
+SWEEPS = 5  # of Jacobi's method over the entries of a matrix: to rounding in double precision
+
 
 @ti.data_oriented
 class Bricks(Corners):
@@ -26,6 +28,7 @@ class Bricks(Corners):
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene, dim = model.scene, model.dim
+        self.real = fields.real
         self.count, self.k = scene.bricks.shape
         self.bits = bits = tuple(
             1 << (dim - 1 - s) for s in range(dim)
@@ -57,22 +60,27 @@ class Bricks(Corners):
         self.gather(
             model,
             fields,
-            np.repeat(scene.bricks, self.k, axis=0),
+            np.concatenate([np.delete(scene.bricks, c, axis=1)[:, None] for c in range(self.k)], axis=1).reshape(
+                -1, self.k - 1
+            ),
             scene.bricks.ravel(),
             {"place": ti.i32},
             {"place": np.arange(self.count * self.k)},
-            holds_others=False,
         )
 
     @ti.func
-    def _amplitudes(self, ball: ti.template(), e, of_rates: ti.template(), real: ti.template()):
-        """Amplitudes (2^dim, dim) of brick e [m], or their rates [m/s]: sums of the corners' places with signs."""
+    def _amplitudes(self, ball: ti.template(), e, member: ti.template(), real: ti.template()):
+        """Amplitudes (2^dim, dim) of brick e in a member of its balls, "x" [m], "v" [m/s] or "p": sums with signs."""
         corners = self.brick[e].balls
         u = ti.Matrix.zero(real, self.k, self.dim)
         for c in ti.static(range(1, self.k)):
-            d = ball[corners[c]].x - ball[corners[0]].x
-            if ti.static(of_rates):
+            d = ti.Vector.zero(float, self.dim)
+            if ti.static(member == "x"):
+                d = ball[corners[c]].x - ball[corners[0]].x
+            elif ti.static(member == "v"):
                 d = ball[corners[c]].v - ball[corners[0]].v
+            else:
+                d = ball[corners[c]].p - ball[corners[0]].p
             for j in ti.static(range(self.dim)):
                 u[c, j] = ti.cast(d[j], real) / self.k
         for bit in ti.static(self.bits):
@@ -167,16 +175,183 @@ class Bricks(Corners):
         """Forces on the corners of each brick."""
         for e in range(self.count):
             law = self.law[self.brick[e].law]
-            u = self._amplitudes(ball, e, False, float)
+            u = self._amplitudes(ball, e, "x", float)
             gradient = self._gradient(u, law.slope, float)
             stress, q = self._stress(gradient, law), self._turned_back(gradient, u, float)
             if ti.static(self.viscous):
-                w = self._amplitudes(ball, e, True, float)
+                w = self._amplitudes(ball, e, "v", float)
                 change = self._gradient(w, law.slope, float)
                 rate = gradient.transpose() @ change
                 stress += law.delay * law.mu * gradient @ (rate + rate.transpose())
                 q += law.delay * (self._turned_back(change, u, float) + self._turned_back(gradient, w, float))
             self._push(e, law, stress, gradient, u, self._bending(q, law, float))
+
+    # The derivatives, for implicit methods: that of the stress in the principal axes, U H(U^T dF V) V^T, without what is
+    # negative; of Q the part that is never negative
+
+    def allocate_derivatives(self, fields: Fields) -> None:
+        """Principal axes of each brick, and how its stress changes along and across them; blocks of its corners."""
+        dim, count = self.dim, self.count
+        self.left, self.right, self.along = (fields.matrices(count, dim) for _ in range(3))
+        self.across = fields.matrices(
+            count, dim
+        )  # of the pair (i, j): of its sum where i < j, of its difference where i > j
+        self.block = fields.matrices(count * self.k, dim)  # kg
+
+    @ti.func
+    def _find_axes(self, e, gradient, law):
+        """Write the principal axes of brick e and the stiffness in them (Smith, de Goes, Kim 2019)."""
+        u, sigma, v = ti.svd(gradient, self.real)
+        shape = gradient.norm_sqr() + (3 - self.dim)
+        stretch, product = ti.Vector.zero(float, self.dim), ti.cast(1.0, float)
+        for i in ti.static(range(self.dim)):
+            stretch[i] = sigma[i, i]
+        last = ti.static(self.dim - 1)
+        if u.determinant() * v.determinant() < 0.0:
+            stretch[last] = -stretch[last]
+            for j in ti.static(range(self.dim)):
+                u[j, last] = -u[j, last]
+        for i in ti.static(range(self.dim)):
+            product *= stretch[i]
+        base, pressure = law.m * (1.0 - 1.0 / (shape + 1.0)), law.k * (product - law.alpha)
+        along, across = ti.Matrix.zero(float, self.dim, self.dim), ti.Matrix.zero(float, self.dim, self.dim)
+        for i in ti.static(range(self.dim)):
+            for j in ti.static(range(self.dim)):
+                third = ti.cast(1.0, float)
+                if ti.static(self.dim == 3 and i != j):
+                    third = stretch[ti.static(3 - i - j)]
+                rises, falls = ti.cast(1.0, float), ti.cast(1.0, float)  # of J with each of both
+                for l in ti.static(range(self.dim)):
+                    if ti.static(l != i):
+                        rises *= stretch[l]
+                    if ti.static(l != j):
+                        falls *= stretch[l]
+                along[i, j] = law.k * rises * falls + law.m * 2.0 / (shape + 1.0) ** 2 * stretch[i] * stretch[j]
+                if ti.static(i == j):
+                    along[i, j] += base
+                else:
+                    along[i, j] += pressure * third
+                if ti.static(i < j):
+                    across[i, j] = max(0.0, base - pressure * third)
+                if ti.static(i > j):
+                    across[i, j] = max(0.0, base + pressure * third)
+        self.left[e], self.right[e], self.along[e], self.across[e] = u, v, self._without_negative(along), across
+
+    @ti.func
+    def _without_negative(self, matrix):
+        """Symmetric matrix (dim, dim) without its negative eigenvalues, by Jacobi's rotations: equal ones do no harm."""
+        d, axes = matrix, ti.Matrix.identity(float, self.dim)
+        for _ in range(SWEEPS):
+            for i in ti.static(range(self.dim)):
+                for j in ti.static(range(i + 1, self.dim)):
+                    if abs(d[i, j]) > 0.0:
+                        half = 0.5 * (d[j, j] - d[i, i]) / d[i, j]
+                        tangent = ti.select(half < 0.0, -1.0, 1.0) / (abs(half) + ti.sqrt(half * half + 1.0))
+                        c = 1.0 / ti.sqrt(tangent * tangent + 1.0)
+                        sine = tangent * c
+                        for k in ti.static(range(self.dim)):
+                            one, other = d[k, i], d[k, j]
+                            d[k, i], d[k, j] = c * one - sine * other, sine * one + c * other
+                            one, other = axes[k, i], axes[k, j]
+                            axes[k, i], axes[k, j] = c * one - sine * other, sine * one + c * other
+                        for k in ti.static(range(self.dim)):
+                            one, other = d[i, k], d[j, k]
+                            d[i, k], d[j, k] = c * one - sine * other, sine * one + c * other
+        for i in ti.static(range(self.dim)):
+            for j in ti.static(range(self.dim)):
+                if ti.static(i == j):
+                    d[i, j] = max(0.0, d[i, j])
+                else:
+                    d[i, j] = 0.0
+        return axes @ d @ axes.transpose()
+
+    @ti.func
+    def _stress_change(self, e, change):
+        """Change of the stress by one of the deformation gradient (dim, dim)."""
+        u, v, along, across = self.left[e], self.right[e], self.along[e], self.across[e]
+        d = u.transpose() @ change @ v
+        r = ti.Matrix.zero(float, self.dim, self.dim)
+        for i in ti.static(range(self.dim)):
+            for j in ti.static(range(self.dim)):
+                r[i, i] += along[i, j] * d[j, j]
+                if ti.static(i < j):
+                    same, turned = 0.5 * across[i, j] * (d[i, j] + d[j, i]), 0.5 * across[j, i] * (d[i, j] - d[j, i])
+                    r[i, j], r[j, i] = same + turned, same - turned
+        return u @ r @ v.transpose()
+
+    @ti.func
+    def _changes(self, e, law, gradient, u, change, moved, s):
+        """Change of stress and of the derivative by Q, both times s^2, and with those by viscosity times s, where the gradient
+        changes by `change` and the amplitudes by `moved`."""
+        stress = s * s * self._stress_change(e, change)
+        factor = s * s
+        if ti.static(self.viscous):
+            strain = gradient.transpose() @ change
+            stress += s * law.delay * law.mu * gradient @ (strain + strain.transpose())
+            factor += s * law.delay
+        q = factor * (self._turned_back(change, u, float) + self._turned_back(gradient, moved, float))
+        return stress, self._bending(q, law, float)
+
+    @ti.func
+    def prepare_blocks(self, ball: ti.template(), s):
+        """Principal axes of each brick, and the blocks of its corners."""
+        for e in range(self.count):
+            law = self.law[self.brick[e].law]
+            u = self._amplitudes(ball, e, "x", float)
+            gradient = self._gradient(u, law.slope, float)
+            self._find_axes(e, gradient, law)
+            for c in range(self.k):
+                for j in range(self.dim):
+                    self._block_column(e, law, gradient, u, c, j, s)
+
+    @ti.func
+    def _block_column(self, e, law, gradient, u, c, j, s):
+        """Write column j of the block of corner c of brick e."""
+        moved, change = ti.Matrix.zero(float, self.k, self.dim), ti.Matrix.zero(float, self.dim, self.dim)
+        for p in ti.static(range(1, self.k)):
+            sign = ti.cast(1.0 / self.k, float)
+            for bit in ti.static(self.bits):
+                if ti.static(p & bit != 0):
+                    if c & bit == 0:
+                        sign = -sign
+            for i in ti.static(range(self.dim)):
+                if i == j:
+                    moved[p, i] = sign
+        change = self._gradient(moved, law.slope, float)
+        stress, t = self._changes(e, law, gradient, u, change, moved, s)
+        for p in ti.static(self.bent):
+            for a in ti.static(range(self.dim)):
+                for i in ti.static(range(self.dim)):
+                    stress[i, a] += u[p, i] * t[p, a]
+        for i in ti.static(range(self.dim)):
+            found = ti.cast(0.0, float)
+            for l in ti.static(range(self.dim)):
+                if l == j:  # what corner c adds to each amplitude
+                    for a in ti.static(range(self.dim)):
+                        found += law.slope[a] * stress[i, a] * moved[self.bits[a], l]
+                        for p in ti.static(self.bent):
+                            found += gradient[i, a] * t[p, a] * moved[p, l]
+            self.block[e * self.k + c][i, j] = law.volume * found
+
+    @ti.func
+    def prepare_product(self, ball: ti.template(), s):
+        """Products of each brick."""
+        for e in range(self.count):
+            law = self.law[self.brick[e].law]
+            u, moved = self._amplitudes(ball, e, "x", float), self._amplitudes(ball, e, "p", float)
+            gradient, change = self._gradient(u, law.slope, float), self._gradient(moved, law.slope, float)
+            stress, t = self._changes(e, law, gradient, u, change, moved, s)
+            self._push(e, law, stress, gradient, u, t)
+
+    @ti.func
+    def corner_product(self, ball: ti.template(), i, row, s):
+        """Rows of ball i of the product."""
+        return -self.push[row.place]
+
+    @ti.func
+    def corner_block(self, ball: ti.template(), i, row, s):
+        """Block that joins ball i to itself."""
+        return self.block[row.place]
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
@@ -184,11 +359,30 @@ class Bricks(Corners):
         return self.push[row.place]
 
     @ti.func
+    def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):
+        """Share of ball i of half the power of viscosity [W]."""
+        loss = ti.cast(0.0, real)
+        if ti.static(self.viscous):
+            e = row.place // self.k
+            law = self.law[self.brick[e].law]
+            u, w = self._amplitudes(ball, e, "x", real), self._amplitudes(ball, e, "v", real)
+            gradient, change = self._gradient(u, law.slope, real), self._gradient(w, law.slope, real)
+            strain = gradient.transpose() @ change
+            q = self._turned_back(change, u, real) + self._turned_back(gradient, w, real)
+            t = self._bending(q, law, real)
+            loss += 0.5 * law.mu * (strain + strain.transpose()).norm_sqr()
+            for p in ti.static(self.bent):
+                for a in ti.static(range(self.dim)):
+                    loss += q[p, a] * t[p, a]
+            loss *= 0.5 * law.volume / self.k * law.delay
+        return loss
+
+    @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
         """Share of ball i of a brick's energy [J]: equal for all corners; 0 at rest."""
         e = row.place // self.k
         law = self.law[self.brick[e].law]
-        u = self._amplitudes(ball, e, False, real)
+        u = self._amplitudes(ball, e, "x", real)
         gradient = self._gradient(u, law.slope, real)
         q = self._turned_back(gradient, u, real)
         t = self._bending(q, law, real)

@@ -39,17 +39,16 @@ class Corners:
         own: NDArray,
         columns: dict[str, Any],
         data: dict[str, NDArray],
-        holds_others: bool = True,
     ) -> None:
         """Declare the fields.
 
         own: (r,) the ball of each row; others: (r, k) the further balls of its element, as members "a", "b", ...; columns, data:
-        what else a row has, name to Taichi type and (r,) values. holds_others: rows have the further balls.
+        what else a row has, name to Taichi type and (r,) values.
         """
         order = np.argsort(own, kind="stable")
         start = np.zeros(model.n + 1, dtype=np.int32)
         np.cumsum(np.bincount(own, minlength=model.n), out=start[1:])
-        names = CORNER_NAMES[: others.shape[1] if holds_others else 0]
+        names = CORNER_NAMES[: others.shape[1]]
         typed = {**dict.fromkeys(names, ti.i32), **columns}
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
@@ -66,8 +65,7 @@ class Corners:
         if slices is not None:
             self.slice_start = fields.integers(slices.start)
             values = {name: slices.spread(value) for name, value in values.items()}
-        rows = len(own) if slices is None else slices.room
-        self.row = fields.table(typed, rows, values, by_column=self.sliced)
+        self.row = fields.table(typed, len(values["a"]), values, by_column=self.sliced)
         if self.tears:
             self.gone = fields.integers(len(own))
             self.members = members
@@ -122,6 +120,9 @@ class Corners:
         return ti.cast(0.0, real)
 
     # The derivatives, for implicit methods
+
+    def allocate_derivatives(self, fields: Fields) -> None:
+        """Declare fields for what `prepare_blocks` finds; called where the method is implicit."""
 
     @ti.func
     def prepare_blocks(self, ball: ti.template(), s):

@@ -32,6 +32,8 @@ class StageElements:
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
+        for one in elements:
+            one.allocate_derivatives(fields)
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):

@@ -112,6 +112,7 @@ def _present_size(x: Floats) -> Floats:
 
 class _Bricks(Columns, Element):
     name, method, counted = "bricks", "add_bricks", ("corners",)
+    is_implicit = True
     assumed: ClassVar = {"viscosity": 0.0}
     features: ClassVar = {"viscosity of bricks": lambda scene: np.any(scene.brick_viscosity > 0)}
 

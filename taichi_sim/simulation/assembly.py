@@ -529,10 +529,8 @@ class Assembly:
 
 
 def _is_small(scene: Scene) -> bool:
-    return (
-        scene.n_balls + scene.n_springs + 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes)
-        <= FUSED_UP_TO
-    )
+    elements = 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes) + 16 * len(scene.bricks)
+    return scene.n_balls + scene.n_springs + elements <= FUSED_UP_TO
 
 
 def compensates(scene: Scene, backend: Backend) -> bool:

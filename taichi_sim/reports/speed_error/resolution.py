@@ -36,7 +36,14 @@ MATERIAL = {
     "rope": (),  # is of a material anyhow, unless it is a CHAIN
 }
 CHAIN = ("stiffness", "bending_stiffness")  # of each spring or piece: with them it is no material
-BY_HAND = ("cells", "bending", "gases", "triangles", "embedded_surfaces")  # of balls that a finer mesh does not have
+BY_HAND = (
+    "cells",
+    "bricks",
+    "bending",
+    "gases",
+    "triangles",
+    "embedded_surfaces",
+)  # of balls that a finer mesh does not have
 Ints = NDArray[np.int64]
 
 
