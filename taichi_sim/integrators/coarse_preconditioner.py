@@ -153,8 +153,8 @@ class Aggregates:
     def _assemble_element(self, one: ti.template(), c, i, row):
         """Add to the rows of aggregate c, which begin at `row`, what the elements of a kind join its ball i to; returns what they
         add to its own block."""
-        dim, s = ti.static(self.dim), self.elements.step[0]
-        block = self.block[self.block_of[c]]
+        dim = ti.static(self.dim)
+        s, block = self.elements.step[0], self.block[self.block_of[c]]
         own = ti.Matrix.zero(self.wide, dim, dim)
         for k in range(one.start[i + 1] - one.start[i]):
             e = list_entry(one, i, k)
