@@ -129,10 +129,6 @@ class Element(Corners):
         return self.block(ball, row, s)
 
     @ti.func
-    def potential_at(self, ball: ti.template(), i, s, real: ti.template()):
-        """Sum of the user's."""
-        energy = ti.cast(0.0, real)
-        for e in range(self.start[i], self.start[i + 1]):
-            if self.is_whole(e):
-                energy += ti.cast(self.potential(ball, self.row[e], s), real)
-        return energy
+    def corner_potential(self, ball: ti.template(), i, row, s, real: ti.template()):
+        """The user's."""
+        return ti.cast(self.potential(ball, row, s), real)

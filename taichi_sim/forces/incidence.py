@@ -54,7 +54,10 @@ class Corners:
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
         self.corner_names = tuple(names)
-        self.ties = np.stack([own, others[:, 0]], axis=1)  # (r, 2) balls that rows join
+        members = np.concatenate([own[order, None], others[order]], axis=1)
+        # (r, 2) the ball of each row, and the lowest free one of its element, or itself where all are pinned: balls joined
+        lowest = np.where(model.scene.pinned[members], model.n, members).min(axis=1)
+        self.ties = np.stack([members[:, 0], np.where(lowest < model.n, lowest, members[:, 0])], axis=1)
         self.start = fields.integers(start)
         self.tears = bool(np.isfinite(model.scene.break_strain).any())
         slices = Slices.of(start) if self.may_slice and not self.tears else None
@@ -65,7 +68,7 @@ class Corners:
         self.row = fields.table(typed, len(values["a"]), values, by_column=self.sliced)
         if self.tears:
             self.gone = fields.integers(len(own))
-            self.members = np.concatenate([own[order, None], others[order]], axis=1)
+            self.members = members
 
     @property
     def implicit(self) -> bool:
@@ -181,13 +184,6 @@ class Corners:
         return block
 
     @ti.func
-    def potential_at(self, ball: ti.template(), i, s, real: ti.template()):
-        """Ball i's share of W + s R [J]."""
-        energy = ti.cast(0.0, real)
-        for t in range(self.start[i + 1] - self.start[i]):
-            e = list_entry(self, i, t)
-            if self.is_whole(e):
-                row = self.row[e]
-                energy += self.corner_energy(ball, i, row, real)
-                energy += ti.cast(s, real) * self.corner_loss(ball, i, row, real)
-        return energy
+    def corner_potential(self, ball: ti.template(), i, row, s, real: ti.template()):
+        """Ball i's share of W + s R of the element of a row [J]."""
+        return self.corner_energy(ball, i, row, real) + ti.cast(s, real) * self.corner_loss(ball, i, row, real)

@@ -3,6 +3,7 @@
 A block of the diagonal sees a ball and its neighbours, so what moves many balls together takes as many iterations as there are
 balls across. Aggregates of neighbouring balls that move as wholes see just that: z = D^-1 r + P (P^T A P)^-1 P^T r, P from the
 movement of aggregates to that of balls. Their matrix is small and solved directly; springs within an aggregate drop out of it.
+No aggregate has balls of two bodies, so that the matrix is one for each body.
 Elements that do not tell what joins their corners enter by a bound for it.
 """
 
@@ -11,17 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.device.engine import on_device as on_gpu
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.springs import Springs
+from taichi_sim.integrators.bodies import Bodies
+from taichi_sim.kernels import reductions
 from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.reductions import each_part
 
 __all__ = ["Aggregates", "bisected"]
 
-FEWEST_BALLS = 32  # free ones, for which aggregates pay
+FEWEST_BALLS = 32  # free ones of a body, for which aggregates pay
 FACTOR_COST = 8.0  # cube of the number of aggregates over that of balls: factors then cost about an iteration
 
 
@@ -42,30 +44,43 @@ def bisected(x: NDArray[np.float64], parts: int) -> NDArray[np.int64]:
 
 @ti.data_oriented
 class Aggregates:
-    """Aggregates of a scene's free balls. `spring_block`: of each spring, see kernels.springs.newton_terms. elements: a
-    StageElements, or None."""
+    """Aggregates of the free balls of a scene's bodies. `spring_block`: of each spring, see kernels.springs.newton_terms.
+    elements: a StageElements, or None."""
 
-    def __init__(
-        self, model: Model, springs: Springs | None, spring_block: ti.StructField, elements: Any, fields: Fields
-    ) -> None:
+    def __init__(self, model: Model, springs: Springs | None, bodies: Bodies, spring_block: ti.StructField, elements: Any,
+                 fields: Fields) -> None:  # fmt: skip
         scene, self.elements, self.has_elements = model.scene, elements, elements is not None
         self.spring_block, self.dim = spring_block, model.dim
         free = np.flatnonzero(~scene.pinned)
+        balls = np.bincount(bodies.body[free], minlength=bodies.count)
+        large = np.flatnonzero(bodies.joined & (balls >= FEWEST_BALLS))
         # one thread of a GPU is slow
-        on_device = on_gpu() if springs is None else springs.order in ("atomic", "ends")
-        pay = len(free) >= FEWEST_BALLS
-        self.active, self.missing = pay and not on_device, pay and on_device
+        on_device = reductions.on_device() if springs is None else springs.order in ("atomic", "ends")
+        self.active, self.missing = len(large) > 0 and not on_device, len(large) > 0 and on_device
         if not self.active:
             return
-        self.count = 1 << int(np.log2(np.cbrt(FACTOR_COST * len(free))))
-        own = bisected(scene.position[free], self.count)
+        counts = 1 << np.log2(np.cbrt(FACTOR_COST * balls[large])).astype(int)
+        firsts = np.cumsum(counts) - counts
+        self.count, self.blocks = int(counts.sum()), len(large)
         aggregate = np.full(model.n, -1)
-        aggregate[free] = own
+        grouped = np.split(free[np.argsort(bodies.body[free], kind="stable")], np.cumsum(balls)[:-1])
+        for k, first, count in zip(large, firsts, counts):
+            aggregate[grouped[k]] = first + bisected(scene.position[grouped[k]], int(count))
+        free = np.flatnonzero(aggregate >= 0)
+        own = aggregate[free]
         self.aggregate = fields.integers(aggregate)
         self.member = fields.integers(free[np.argsort(own, kind="stable")])
         mass = np.bincount(own, scene.mass[free], self.count)
-        self.mass, self.least = fields.reals(mass), fields.reals(mass.min(keepdims=True))
+        self.mass, self.least = fields.reals(mass), fields.reals(np.minimum.reduceat(mass, firsts))
         self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(own, minlength=self.count))))
+        block_of_body = np.full(bodies.count, -1)
+        block_of_body[large] = np.arange(self.blocks)
+        self.block_of_body = fields.integers(block_of_body)
+        self.block_of = fields.integers(np.repeat(np.arange(self.blocks), counts))
+        # of each body with aggregates: the first of them, unknowns, and where its matrix begins
+        sizes = counts * self.dim
+        block = {"first": firsts, "size": sizes, "at": np.cumsum(sizes**2) - sizes**2}
+        self.block = fields.table(dict.fromkeys(block, ti.i32), self.blocks, block)
         ends = aggregate[scene.pairs if springs is None else scene.pairs[springs.number]]
         slots = np.flatnonzero(ends[:, 0] != ends[:, 1])
         here, there = ends[slots].ravel(), ends[slots][:, ::-1].ravel()
@@ -77,99 +92,113 @@ class Aggregates:
             {"spring": np.repeat(slots, 2)[order], "other": there[order]},
         )
         self.first = fields.integers(np.append(0, np.cumsum(np.bincount(here[order], minlength=self.count))))
-        self.size = self.count * self.dim
-        self.matrix = fields.doubles(self.size**2)  # its lower factor, rows one after another
-        self.load, self.answer = fields.doubles(self.size), fields.doubles(self.size)
+        self.matrix = fields.doubles(int(np.sum(sizes**2)))  # lower factors, rows one after another
+        self.load, self.answer = (fields.doubles(self.count * self.dim) for _ in range(2))
         self.wide = fields.wide
 
     @ti.func
     def factor(self):
         """The matrix of the springs as they are, and its Cholesky factor."""
-        size = ti.static(self.size)
         each_part(self.count, self._assemble, ())
-        ti.loop_config(serialize=True)
+        ti.loop_config(serialize=ti.static(self.blocks == 1))
+        for b in range(self.blocks):
+            self._factor(b)
+
+    @ti.func
+    def _factor(self, b):
+        """Factor the matrix of body b."""
+        size, at = self.block[b].size, self.block[b].at
         for j in range(size):
             for i in range(j, size):
-                total = self.matrix[i * size + j]
+                total = self.matrix[at + i * size + j]
                 for q in range(j):
-                    total -= self.matrix[i * size + q] * self.matrix[j * size + q]
+                    total -= self.matrix[at + i * size + q] * self.matrix[at + j * size + q]
                 if i == j:
                     # what is added to the masses is positive semidefinite: less than the least is rounding
-                    self.matrix[j * size + j] = ti.sqrt(ti.max(total, self.least[0]))
+                    self.matrix[at + j * size + j] = ti.sqrt(ti.max(total, self.least[b]))
                 else:
-                    self.matrix[i * size + j] = total / self.matrix[j * size + j]
+                    self.matrix[at + i * size + j] = total / self.matrix[at + j * size + j]
 
     @ti.func
     def _assemble(self, c):
         """The rows of aggregate c."""
-        size, dim = ti.static(self.size, self.dim)
-        for e in range(c * dim * size, (c + 1) * dim * size):
+        dim = ti.static(self.dim)
+        block = self.block[self.block_of[c]]
+        size, row = block.size, block.at + (c - block.first) * dim * block.size
+        for e in range(row, row + dim * size):
             self.matrix[e] = 0.0
         own = ti.cast(self.mass[c], self.wide) * ti.Matrix.identity(self.wide, dim)
         if ti.static(self.has_elements):
             for one in ti.static(self.elements.elements):
                 for e in range(self.begin[c], self.begin[c + 1]):
-                    own += self._assemble_element(one, c, self.member[e])
+                    own += self._assemble_element(one, c, self.member[e], row)
         for e in range(self.first[c], self.first[c + 1]):
             link = self.link[e]
-            block = self.spring_block[link.spring]
+            spring = self.spring_block[link.spring]
             for a in ti.static(range(dim)):
                 for b in ti.static(range(dim)):
-                    value = ti.cast(block.r[a], self.wide) * ti.cast(block.r[b], self.wide)
-                    value *= ti.cast(block.along, self.wide)
+                    value = ti.cast(spring.r[a], self.wide) * ti.cast(spring.r[b], self.wide)
+                    value *= ti.cast(spring.along, self.wide)
                     if ti.static(a == b):
-                        value += ti.cast(block.across, self.wide)
+                        value += ti.cast(spring.across, self.wide)
                     own[a, b] += value
                     if link.other >= 0:
-                        at = (c * dim + a) * size + link.other * dim + b
+                        at = row + a * size + (link.other - block.first) * dim + b
                         self.matrix[at] = self.matrix[at] - value
         for a in ti.static(range(dim)):
             for b in ti.static(range(dim)):
-                self.matrix[(c * dim + a) * size + c * dim + b] = own[a, b]
+                self.matrix[row + a * size + (c - block.first) * dim + b] = own[a, b]
 
     @ti.func
-    def _assemble_element(self, one: ti.template(), c, i):
-        """Add what the elements of a kind at ball i of aggregate c join to others; returns what they add to its own block."""
-        size, dim = ti.static(self.size, self.dim)
-        s = self.elements.step[0]
+    def _assemble_element(self, one: ti.template(), c, i, row):
+        """Add to the rows of aggregate c, which begin at `row`, what the elements of a kind join its ball i to; returns what they
+        add to its own block."""
+        dim = ti.static(self.dim)
+        s, block = self.elements.step[0], self.block[self.block_of[c]]
         own = ti.Matrix.zero(self.wide, dim, dim)
         for k in range(one.start[i + 1] - one.start[i]):
             e = list_entry(one, i, k)
-            row = one.row[e]
+            corner, crosses = one.row[e], 0
             for t in ti.static(range(len(one.corner_names))):
-                d = self.aggregate[getattr(row, one.corner_names[t])]
+                d = self.aggregate[getattr(corner, one.corner_names[t])]
                 if d != c and one.is_whole(e):
                     if ti.static(one.couples):
-                        block = ti.cast(one.corner_coupling(self.elements.there, i, row, t, s), self.wide)
-                        own -= block
+                        joint = ti.cast(one.corner_coupling(self.elements.there, i, corner, t, s), self.wide)
+                        own -= joint
                         if d >= 0:
                             for a, b in ti.static(ti.ndrange(dim, dim)):
-                                at = (c * dim + a) * size + d * dim + b
-                                self.matrix[at] = self.matrix[at] + block[a, b]
-                    else:
-                        own += ti.cast(one.corner_block(self.elements.there, i, row, s), self.wide) * float(
-                            len(one.corner_names)
-                        )
+                                at = row + a * block.size + (d - block.first) * dim + b
+                                self.matrix[at] = self.matrix[at] + joint[a, b]
+                    crosses = 1
+            if ti.static(not one.couples):
+                if crosses == 1:  # x^T K x is at most the sum of the blocks of the diagonal, times their number
+                    bound = ti.static(1.0 + len(one.corner_names)) * one.corner_block(self.elements.there, i, corner, s)
+                    own += ti.cast(bound, self.wide)
         return own
 
     @ti.func
     def solve(self, residual: ti.template()):
-        """Solve the coarse system of the aggregates for a residual (n); its scalar product with the solution is `product`."""
-        size = ti.static(self.size)
+        """Solve the coarse systems of all bodies for a residual (n); see `product`."""
         each_part(self.count, self._restrict, (residual,))
-        ti.loop_config(serialize=True)
+        ti.loop_config(serialize=ti.static(self.blocks == 1))
+        for b in range(self.blocks):
+            self._substitute(b)
+
+    @ti.func
+    def _substitute(self, b):
+        """Solve the coarse system of body b, whose matrix is factored."""
+        size, at, first = self.block[b].size, self.block[b].at, self.block[b].first * self.dim
         for i in range(size):
-            total = self.load[i]
+            total = self.load[first + i]
             for q in range(i):
-                total -= self.matrix[i * size + q] * self.answer[q]
-            self.answer[i] = total / self.matrix[i * size + i]
-        ti.loop_config(serialize=True)
+                total -= self.matrix[at + i * size + q] * self.answer[first + q]
+            self.answer[first + i] = total / self.matrix[at + i * size + i]
         for k in range(size):
             i = size - 1 - k
-            total = self.answer[i]
+            total = self.answer[first + i]
             for q in range(i + 1, size):
-                total -= self.matrix[q * size + i] * self.answer[q]
-            self.answer[i] = total / self.matrix[i * size + i]
+                total -= self.matrix[at + q * size + i] * self.answer[first + q]
+            self.answer[first + i] = total / self.matrix[at + i * size + i]
 
     @ti.func
     def _restrict(self, c, residual: ti.template()):
@@ -181,11 +210,14 @@ class Aggregates:
             self.load[c * dim + a] = ti.cast(total[a], self.wide)
 
     @ti.func
-    def product(self):
-        """Scalar product of the last residual with the solution of the aggregates."""
+    def product(self, b):
+        """Scalar product of the last residual of body b with the solution of its aggregates; 0 without any."""
         total = ti.cast(0.0, self.wide)
-        for k in range(self.size):
-            total += self.load[k] * self.answer[k]
+        k = self.block_of_body[b]
+        if k >= 0:
+            first = self.block[k].first * self.dim
+            for e in range(first, first + self.block[k].size):
+                total += self.load[e] * self.answer[e]
         return total
 
     @ti.func

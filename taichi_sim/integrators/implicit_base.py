@@ -55,12 +55,12 @@ class Implicit(Integrator):
         """Statistics from the numbers that the solver keeps; None without springs and elements: nothing to solve."""
         if not self.solves:
             return None
-        n = self.solver.number[0]
+        n = self.solver.tally[0]
         return SolverStatistics(self.tolerance, int(n.solved), int(n.passes), float(n.worst), int(n.misses))
 
     def counters(self) -> list[Any]:
         """The numbers that the solver keeps."""
-        return [self.solver.number] if self.solves else []
+        return [self.solver.tally] if self.solves else []
 
     def remembers(self) -> bool:
         """True after the first step."""

@@ -4,9 +4,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.kernels.loops import list_entry
 from taichi_sim.kernels.springs import padded_blocks
 
 __all__ = ["StageElements"]
@@ -20,12 +23,13 @@ class StageElements:
     taken back; `step` [s] of the stage; `time` [s] at its end.
     """
 
-    def __init__(self, elements: Sequence[Any], n: int, dim: int, fields: Fields) -> None:
-        self.elements, self.n, self.dim = elements, n, dim
+    def __init__(self, elements: Sequence[Any], model: Model, fields: Fields) -> None:
+        self.elements, self.n, self.dim = elements, model.n, model.dim
         self.ties = np.concatenate([one.ties for one in elements])
-        vector = ti.types.vector(dim, fields.real)
-        self.there = fields.table(dict.fromkeys(("x", "v", "p"), vector), n)
-        self.back = fields.table(dict.fromkeys(("x", "v"), vector), n)
+        vector = ti.types.vector(self.dim, fields.real)
+        self.there = fields.table(dict.fromkeys(("x", "v", "p"), vector), self.n)
+        self.back = fields.table(dict.fromkeys(("x", "v"), vector), self.n)
+        self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
         for one in elements:
@@ -63,17 +67,38 @@ class StageElements:
         return block
 
     @ti.func
-    def take_back(self, base: ti.template(), dv: ti.template(), s, part):
-        """Set `back` to where the stage would end with `part` of dv taken back."""
-        for i in range(self.n):
-            v = base[i].v - part * dv[i]
-            self.back[i].x = base[i].x + s * v
-            self.back[i].v = v
+    def take_back(self, i, x, v, s):
+        """Set `back` of ball i at x to where the stage would end at the velocity v."""
+        self.back[i].x = x + s * v
+        self.back[i].v = v
 
     @ti.func
     def potential(self, ball: ti.template(), i, s):
-        """Ball i's share of the elements' potential [J] at `there` or `back`."""
+        """Share of ball i, which is not pinned, and of its held corners in the elements' potential [J] at `there` or `back`."""
         energy = ti.cast(0.0, self.wide)
-        for one in ti.static(self.elements):
-            energy += one.potential_at(ball, i, s, self.wide)
+        for one, held in ti.static(zip(self.elements, self.held)):
+            own = one.start[i + 1] - one.start[i]
+            for k in range(own + held.start[i + 1] - held.start[i]):
+                j, t = i, k
+                if k >= own:
+                    corner = held.corner[held.start[i] + k - own]
+                    j, t = corner.ball, corner.entry
+                e = list_entry(one, j, t)
+                if one.is_whole(e):
+                    energy += one.corner_potential(ball, j, one.row[e], s, self.wide)
         return energy
+
+
+class _HeldCorners:
+    """Corners of elements that are pinned, listed for a free ball of their element: a pinned ball may belong to several bodies,
+    and its share in the potential of an element counts in that of the element's body.
+
+    Fields: `corner`, those of ball i from start[i] to start[i + 1]: `entry` of the list of `ball`."""
+
+    def __init__(self, ties: NDArray, pinned: NDArray[np.bool_], fields: Fields) -> None:
+        row = np.flatnonzero(pinned[ties[:, 0]] & ~pinned[ties[:, 1]])
+        row = row[np.argsort(ties[row, 1], kind="stable")]
+        ball, n = ties[row, 0], len(pinned)
+        data = {"ball": ball, "entry": row - np.searchsorted(ties[:, 0], ball)}
+        self.corner = fields.table(dict.fromkeys(data, ti.i32), len(row), data)
+        self.start = fields.integers(np.append(0, np.cumsum(np.bincount(ties[row, 1], minlength=n))))

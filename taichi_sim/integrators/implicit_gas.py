@@ -68,12 +68,11 @@ class StageGas:
     Fields: `here` (n), x the places [m] at which the rest was worked out; `change` (gases) [m^3]: of volumes along a product's p.
     """
 
-    def __init__(self, gases: Any, fields: Fields) -> None:
-        self.gases, self.n = gases, gases.n
+    def __init__(self, gases: Any, bodies: Any, fields: Fields) -> None:
+        self.gases, self.bodies, self.n = gases, bodies, gases.n
         self.here = fields.table({"x": ti.types.vector(3, fields.real)}, self.n)
         self.step, self.change = fields.reals(1), fields.reals(gases.count)
         self.part = fields.doubles(gases.parts)
-        self.energy = fields.doubles(2)  # J, of gas: now, and with a part of the change taken back
         self.wide = fields.wide
 
     @ti.func
@@ -135,22 +134,27 @@ class StageGas:
         return self.step[0] * g
 
     @ti.func
-    def compare(self, base: ti.template(), dv: ti.template(), s, part):
-        """The energies with `part` of dv taken back, then without; `here` is left as it was."""
+    def compare(self, solver: ti.template(), s):
+        """Add the energies to the potentials of a StageSolver: before a part of its change was added, then with it; `here` is
+        left as it was."""
         for side in ti.static((1, 0)):
             for i in range(self.n):
-                self.here[i].x = base[i].x + s * (base[i].v - ti.static(float(side)) * part * dv[i])
+                part = ti.static(float(side)) * ti.cast(solver.number[self.bodies.of(i)].part, float)
+                self.here[i].x = solver.base[i].x + s * (solver.base[i].v - part * solver.dv[i])
             each_part(self.gases.parts, self._volume, ())
             ti.loop_config(serialize=True)
             for _ in range(1):
-                self.energy[side] = 0.0
                 c = 0
                 for g in range(self.gases.count):
                     volume = ti.cast(0.0, self.wide)
                     while c < self.gases.parts and self.gases.part[c].gas == g:
                         volume += self.part[c]
                         c += 1
-                    self.energy[side] = self.energy[side] + self._stored(g, volume)
+                    own = self.bodies.first_part(self.bodies.of(self.gases.law[g].home))
+                    if ti.static(side == 1):
+                        solver.part[own].potential_before += self._stored(g, volume)
+                    else:
+                        solver.part[own].potential += self._stored(g, volume)
 
     @ti.func
     def _volume(self, c):

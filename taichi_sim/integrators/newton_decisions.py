@@ -5,18 +5,19 @@ from typing import Any
 from taichi_sim.device.engine import ti
 
 __all__ = [
+    "BEGUN",
     "CODES",
+    "DOUBTFUL",
     "FOUND",
-    "JUDGE_CHANGE",
-    "JUDGE_GUESS",
     "MISSED_TOLERANCES",
-    "MOST_TRIES",
-    "NEXT_ITERATION",
     "NUMBERS",
     "READY",
     "SEARCHING",
-    "SEARCH_ON",
     "SLOW_MODES_PART",
+    "SOLVED",
+    "TALLY",
+    "TRIED",
+    "WITHDRAWN",
     "Verdicts",
     "solve_stage",
 ]
@@ -30,18 +31,21 @@ GAIN_WINDOW = 0.2  # part of the iterations so far, the last ones, whose gains t
 SLOW_MODES_PART = 0.2  # of the tolerance, where slow modes are solved last and the residual hides them
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
+GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
-# What steers the loops, in double precision. Sizes of impulses are squares, divided by the block diagonal of the matrix [J].
+# What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
+# matrix [J].
 NUMBERS = (
-    *(
-        "residual",
-        "force",
-        "scale",
-    ),  # of the residual, of what springs do, and the larger of that and the kinetic energy
+    "phase",  # see below
+    *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
     *("noise", "load"),  # of a residual that may be rounding; of what acts from outside
-    *("raised", "tries"),  # whether the potential is higher than before the change, and how often it was halved
+    *(
+        "change",
+        "part",
+        "tries",
+    ),  # multiple of the change to be added next; how much of it was; how often it was halved
     *(
         "residual_before",
         "moved",
@@ -49,37 +53,33 @@ NUMBERS = (
     ),  # before the change; of the change of this iteration and the last one
     *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last one gained; see `search`
     *("target", "iterations", "searches"),  # of the residual; so many iterations of either kind
-    *("excess", "gained"),  # see StageWork
-    "phase",  # where launches run ahead of what the host knows, see host_launch.Launched
-    *("passes", "solved", "worst", "misses"),  # since the simulation was made, see SolverStatistics; solved: stages
+    *("excess", "gained"),  # see Verdicts.note_work
+    "passes",  # over springs, in this stage
 )
+TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
-# Phases of a stage: what may run next
-DOUBTFUL, READY, SEARCHING, FOUND, SOLVED = range(5)
-NOTHING, SEARCH_ON, JUDGE_GUESS, JUDGE_CHANGE, NEXT_ITERATION, CODES = range(6)  # what `report` says has to follow
+# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together.
+SOLVED, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(9)
 
 
 def solve_stage(self, s, stage):
     """A stage of s seconds, from `base`: Newton's method, in each iteration conjugate gradients for the change. Compiled for one
-    thread, where every loop runs inside a kernel, and run by Python, where each line launches a kernel with parallel loops."""
+    thread, where every loop runs inside a kernel, and run by Python, where each line launches a kernel with parallel loops.
+    What is done acts on the bodies that are in the phase for it, and leaves the others as they are."""
     self.begin(stage)
-    self.linearise(s, 1.0)
-    if self.doubtful():
-        self.compare(s, 1.0)
-        if self.raised():
-            self.linearise(s, -1.0)
-    self.set_target()
-    while self.unsolved():
-        self.start_search()
-        while self.searching():
+    phase = BEGUN
+    while phase != SOLVED:
+        if phase == BEGUN or phase == WITHDRAWN:  # noqa: SIM109 (Taichi has no tuples of numbers to look in)
+            self.linearise(s)
+        elif phase == READY:
+            self.start_search()
+        elif phase == SEARCHING:
             self.search()
-        self.evaluate(s, 1.0)
-        part = 1.0
-        while self.larger():
-            self.compare(s, part)
-            if self.raised():
-                part = 0.5 * part
-                self.evaluate(s, -part)
+        elif phase == FOUND:
+            self.evaluate(s)
+        else:
+            self.compare(s)
+        phase = self.foremost()
     self.end(stage)
 
 
@@ -89,11 +89,16 @@ class Verdicts:
 
     What a solution leaves may not give energy. With the residual r = m (q - v) + s F, the equation of implicit Euler times v says
     that energy changes by -r . v - m (v - v0)^2 / 2 less what convexity and damping take: -r . v has to stay below a part of the
-    second term, in the stages of TR-BDF2, too. The norm of r cannot see this: it divides what a stiff spring leaves by s^2 k, and
-    a spring that rotates in a step has v along it. Each body is judged by itself, see StageWork.
+    second term; in the stages of TR-BDF2, which takes less, below a smaller one. The norm of r cannot see this: it divides what
+    a stiff spring leaves by s^2 k, and a spring that rotates in a step has v along it. What r gives counts in the frame of the
+    body.
     """
 
-    number: Any  # (1) of NUMBERS
+    number: Any  # (bodies) of NUMBERS
+    tally: Any  # (1) of TALLY
+    stage: Any  # (1) what bodies made of this stage
+    bodies: Any
+    part: Any  # sums over parts of bodies
     wide: Any
     tolerance: float
     asked: float  # of a solution: the tolerance, or a part of it
@@ -102,139 +107,205 @@ class Verdicts:
     rounding: float
     finest: float
     slow: bool  # whether conjugate gradients lack the aggregates that solve slow modes first
-    gated: bool  # whether launches run ahead: what is out of turn does nothing
 
     @ti.func
-    def in_phase(self, phase):
-        """True if what belongs to a phase is to run."""
-        yes = True
-        if ti.static(self.gated):
-            yes = self.number[0].phase == phase
-        return yes
+    def begin_body(self, b):
+        """The guess of body b is to be added and looked at."""
+        self.number[b].iterations = 0.0
+        self.number[b].passes = 0.0
+        self.number[b].searches = 0.0
+        self.number[b].moved = 1e300
+        self.number[b].change = 1.0
+        self.number[b].part = 1.0
+        self.number[b].phase = BEGUN
 
     @ti.func
-    def open_stage(self):
-        """The phase after the guess."""
-        if self.doubtful() == 1:
-            self.number[0].phase = DOUBTFUL
+    def judge_guess(self, b):
+        """The phase of body b after its guess was added."""
+        begun = self.number[b].phase == BEGUN
+        self.number[b].change = 0.0
+        if begun and self.doubtful(b) == 1:
+            self.number[b].phase = DOUBTFUL
         else:
-            self.accept_guess()
+            self.accept_guess(b)
 
     @ti.func
-    def accept_guess(self):
-        """The phase of a stage whose guess is good, or withdrawn."""
-        self.set_target()
-        self.number[0].phase = ti.select(self.unsolved() == 1, READY, SOLVED)
+    def accept_guess(self, b):
+        """The phase of body b, whose guess is good, or withdrawn."""
+        self.set_target(b)
+        self.go_on(b)
 
     @ti.func
-    def next_search(self):
-        """The phase after an iteration of conjugate gradients, or before the first."""
-        self.number[0].phase = ti.select(self.searching() == 1, SEARCHING, FOUND)
+    def go_on(self, b):
+        """The phase of body b after an iteration of Newton's method, or before the first."""
+        self.number[b].phase = ti.select(self.unsolved(b) == 1, READY, SOLVED)
+
+    @ti.func
+    def next_search(self, b):
+        """The phase of body b after an iteration of conjugate gradients, or before the first."""
+        self.number[b].phase = SEARCHING
+        if self.searching(b) == 0:
+            self.number[b].phase = FOUND
+            self.number[b].change = 1.0
+            self.number[b].part = 1.0
+
+    @ti.func
+    def judge_change(self, b):
+        """The phase of body b after its change was added, or a part of it taken back."""
+        self.number[b].change = 0.0
+        if self.larger(b) == 1:
+            self.number[b].phase = TRIED
+        else:
+            self.go_on(b)
+
+    @ti.func
+    def judge_potential(self, b, raised):
+        """The phase of body b, whose potential was raised by its guess or its change, or was not."""
+        guessed = self.number[b].phase == DOUBTFUL
+        if raised and guessed:
+            self.number[b].phase = WITHDRAWN
+            self.number[b].change = -1.0
+        elif raised:
+            part = 0.5 * self.number[b].part
+            self.number[b].phase = FOUND
+            self.number[b].change = -part
+            self.number[b].part = part
+            self.number[b].tries += 1.0
+        elif guessed:
+            self.accept_guess(b)
+        else:
+            self.go_on(b)
+
+    @ti.func
+    def foremost(self):
+        """The most urgent phase of all bodies."""
+        phase = SOLVED
+        if ti.static(self.bodies.several):
+            ti.loop_config(serialize=ti.static(self.bodies.few))
+            for b in range(self.bodies.count):
+                ti.atomic_max(phase, ti.cast(self.number[b].phase, ti.i32))
+        else:
+            phase = ti.cast(self.number[0].phase, ti.i32)
+        return phase
 
     @ti.func
     def report(self):
-        """CODES times the iterations of the present search, and what has to follow."""
-        follows, searches = NOTHING, 0
-        phase = self.number[0].phase
-        if phase == SEARCHING or phase == FOUND:  # noqa: SIM109 (Taichi has no tuples of numbers to look in)
-            searches = ti.cast(self.number[0].searches, ti.i32)
-        if phase == SEARCHING:
-            follows = SEARCH_ON
-        elif phase == DOUBTFUL:
-            follows = JUDGE_GUESS
-        elif phase == FOUND:
-            if self.larger() == 1:
-                follows = JUDGE_CHANGE
-            elif self.unsolved() == 1:
-                follows = NEXT_ITERATION
-                self.number[0].phase = READY
-            else:
-                self.number[0].phase = SOLVED
-        return CODES * searches + follows
+        """CODES times the most iterations of any present search, and the most urgent phase."""
+        most = 0
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            ti.atomic_max(most, ti.cast(self.number[b].searches, ti.i32))
+        return CODES * most + self.foremost()
 
     @ti.func
-    def doubtful(self):
+    def doubtful(self, b):
         """1 if the guess leaves so much that none may be better, else 0."""
-        return ti.cast(self.number[0].residual > DOUBTFUL_GUESS**2 * self.number[0].scale, ti.i32)
+        return ti.cast(self.number[b].residual > DOUBTFUL_GUESS**2 * self.number[b].scale, ti.i32)
 
     @ti.func
-    def raised(self):
-        """1 if the change raised the potential, else 0."""
-        return ti.cast(self.number[0].raised > 0.0, ti.i32)
-
-    @ti.func
-    def unsolved(self):
+    def unsolved(self, b):
         """1 if another iteration is due, else 0: the first is, for a small residual may hide a slow mode. Then not where the
         residual is small, nor where the last change was, unless it gives energy; nor where the residual may be rounding and
         changes do not shrink any more."""
-        residual, moved = self.number[0].residual, self.number[0].moved
-        iterations = self.number[0].iterations
+        residual, moved = self.number[b].residual, self.number[b].moved
+        iterations = self.number[b].iterations
         least = ti.min(residual, moved)
-        if iterations > 0.0 and self.number[0].excess > 0.0 and least <= self.number[0].target:
-            finest = self.number[0].scale * self.finest**2
-            self.number[0].target = ti.max(FINER_TARGET * least, finest)
-        target = self.number[0].target
-        large = residual > target and moved > target and self.number[0].searches < MOST_SEARCHES
-        if residual < self.number[0].noise and iterations > 1.0:
-            large = large and moved < SHRINKING_CHANGE * self.number[0].moved_before
+        if iterations > 0.0 and self.number[b].excess > 0.0 and least <= self.number[b].target:
+            finest = self.number[b].scale * self.finest**2
+            self.number[b].target = ti.max(FINER_TARGET * least, finest)
+        target = self.number[b].target
+        large = residual > target and moved > target and self.number[b].searches < MOST_SEARCHES
+        if residual < self.number[b].noise and iterations > 1.0:
+            large = large and moved < SHRINKING_CHANGE * self.number[b].moved_before
         first = iterations == 0.0 and residual > 0.0
         return ti.cast(first or (large and iterations < MOST_ITERATIONS), ti.i32)
 
     @ti.func
-    def add_gain(self, gain):
+    def add_gain(self, b, gain):
         """Add the gain of an iteration of conjugate gradients; where these converge slowly, to that of the last few."""
         kept = ti.cast(0.0, self.wide)
         if ti.static(self.slow):
-            kept = ti.max(0.0, 1.0 - 1.0 / ti.max(1.0, GAIN_WINDOW * (self.number[0].searches + 1.0)))
-        self.number[0].gain = kept * self.number[0].gain + gain
+            kept = ti.max(0.0, 1.0 - 1.0 / ti.max(1.0, GAIN_WINDOW * (self.number[b].searches + 1.0)))
+        self.number[b].gain = kept * self.number[b].gain + gain
 
     @ti.func
-    def searching(self):
+    def searching(self, b):
         """1 if the search is to go on, else 0: by what the last iteration gained, which sees the slow modes that the residual
         hides.
 
         What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952). Without
         aggregates many small ones come, so that the last few are taken, see `add_gain`.
         """
-        goal = ti.max(FORCING_TERM**2 * self.number[0].moved, 0.1 * self.number[0].target)
-        searches = self.number[0].searches
-        more = (self.number[0].gain > goal or searches < 2.0) and self.number[0].rz > 0.0
+        goal = ti.max(FORCING_TERM**2 * self.number[b].moved, 0.1 * self.number[b].target)
+        searches = self.number[b].searches
+        more = (self.number[b].gain > goal or searches < 2.0) and self.number[b].rz > 0.0
         return ti.cast(more and searches < MOST_SEARCHES, ti.i32)
 
     @ti.func
-    def set_target(self):
+    def set_target(self, b):
         """Set how small the residual has to become, once it is known how far the change of the step before fits this one.
 
         What is left then is the acceleration's change, of order h, so that this part of its `order`-th power is a part of the
         local error of the method; where a step does not resolve the motion, the tolerance it is.
         """
-        force, residual = self.number[0].force, self.number[0].residual
+        force, residual = self.number[b].force, self.number[b].residual
         part = ti.cast(self.asked, self.wide)
         if force > 0.0:
             part = ti.min(part, LOCAL_ERROR_PART * (residual / force) ** (0.5 * self.order))
-        self.number[0].target = self.number[0].scale * ti.max(self.least, part) ** 2
+        self.number[b].target = self.number[b].scale * ti.max(self.least, part) ** 2
 
     @ti.func
-    def larger(self):
+    def larger(self, b):
         """1 if the change may have gone too far, so that half of it is worth a try, else 0: it raised the residual. It did
         where it raised the potential too. One of them alone may rise: the potential by damping, whose direction rotates, the
         residual where a stiff body rotates."""
-        larger = self.number[0].residual > self.number[0].residual_before
-        return ti.cast(larger and self.number[0].tries < MOST_TRIES, ti.i32)
+        larger = self.number[b].residual > self.number[b].residual_before
+        return ti.cast(larger and self.number[b].tries < MOST_TRIES, ti.i32)
 
     @ti.func
-    def judge(self):
-        """Note how well the stage was solved."""
-        self.number[0].solved += 1.0
-        left, moved, scale = self.number[0].residual, self.number[0].moved, self.number[0].scale
+    def note_work(self, b):
+        """Set what the residual gives to body b: `excess` [J], beyond what it may, and `gained`, the part of its kinetic energy
+        that is more than the method takes, where that is not rounding."""
+        given, taken = self.bodies.total(self.part.given, b), self.bodies.total(self.part.taken, b)
+        moving = self.bodies.total(self.part.moving, b)
+        self.number[b].excess = ti.max(0.0, given - ti.static(GIVEN_PARTS[self.order]) * taken - self.rounding * moving)
+        gain = given - taken
+        gained = 0.0 * gain
+        if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > 0.0:
+            gained = gain / ti.max(gain, moving)
+        self.number[b].gained = gained
+
+    @ti.func
+    def judge(self, b):
+        """Note how well the stage was solved for body b."""
+        left, moved, scale = self.number[b].residual, self.number[b].moved, self.number[b].scale
         if moved > 0.0:
             left = ti.min(left, moved)
         if not left >= 0.0:  # the matrix was not positive definite
             left = scale
-        noise = self.number[0].noise
-        acts = scale > noise or left > noise or self.number[0].load > 0.0
+        noise = self.number[b].noise
+        acts = scale > noise or left > noise or self.number[b].load > 0.0
+        ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
         if acts:  # else all of it is rounding
-            left = ti.max(ti.sqrt(left / scale), self.number[0].gained)
-            self.number[0].worst = ti.max(self.number[0].worst, left)
+            left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
+            ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:
-                self.number[0].misses += 1.0
+                self.stage[0].missed = 1
+
+    @ti.func
+    def judge_all(self):
+        """Add up how well the stage was solved: for the worst body."""
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            self.stage[0].passes = 0
+            self.stage[0].missed = 0
+            self.stage[0].worst = 0.0
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            self.judge(b)
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            self.tally[0].solved += 1.0
+            self.tally[0].passes += self.stage[0].passes
+            self.tally[0].misses += self.stage[0].missed
+            self.tally[0].worst = ti.max(self.tally[0].worst, ti.cast(self.stage[0].worst, self.wide))

@@ -7,7 +7,7 @@ from taichi_sim.kernels import reductions
 
 import taichi_sim as ts
 
-QUESTIONS = ("doubtful", "raised", "unsolved", "searching", "larger", "report")
+QUESTIONS = ("foremost", "report")
 
 
 def hanging_cloth():
@@ -66,4 +66,4 @@ def test_the_same_solution_with_few_questions(build, method, monkeypatch):
     assert here == pytest.approx(there, abs=1e-4)
     assert counts["iterations"] >= asked["iterations"]
     assert counts["questions"] < 1.7 * counts["iterations"]
-    assert asked["questions"] > 5 * asked["iterations"]
+    assert asked["questions"] > 3 * asked["iterations"]

@@ -206,7 +206,7 @@ def test_solver_of_implicit_methods_is_public():
         assert found.passes > found.stages
         assert found.misses == 0
         assert 0.0 < found.worst <= 10 * found.tolerance
-        sim.parts.integrator.solver.number.misses[0] = 3.0
+        sim.parts.integrator.solver.tally.misses[0] = 3.0
         with pytest.warns(UserWarning, match="of the impulses of a stage unsolved"):
             sim.step(2)
         run_quietly(sim, 0.02)  # once

@@ -1,0 +1,109 @@
+"""Bodies in an implicit stage: none depends on another that it does not touch."""
+
+import numpy as np
+import pytest
+from physics_support import F64, GATHERED, VARIANTS, simulate
+from taichi_sim.kernels import reductions
+
+import taichi_sim as ts
+from taichi_sim.integrators import bodies
+from taichi_sim.integrators.coarse_preconditioner import FEWEST_BALLS
+from taichi_sim.integrators.implicit_euler import ImplicitEuler
+
+LONE = 3  # balls that nothing joins
+NO_TIES = np.zeros((0, 2), dtype=int)
+
+
+def add_strip(scene, place, number, seed, stiffness=1e4, mass=0.1, speed=1.0):
+    """A bent strip of so many balls in 2D that moves any way."""
+    rng = np.random.default_rng(seed)
+    x = np.stack([0.1 * np.arange(number), 0.05 * rng.random(number)], axis=1) + place
+    balls = scene.add_balls(x, velocity=speed * rng.normal(size=x.shape), mass=mass, radius=0.01)
+    scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=stiffness, damping=1e-4 * stiffness)
+    scene.add_springs(np.stack([balls[:-2], balls[2:]], axis=1), stiffness=0.1 * stiffness)
+    return balls
+
+
+def beside(number, other):
+    """A pinned and a free strip, then another strip with what `other` says, or none, and lone balls."""
+    scene = ts.Scene(dim=2, gravity=(0, -9.81))
+    scene.set_balls([add_strip(scene, (0, 0), number, 1, stiffness=1e6)[0]], pinned=True)
+    add_strip(scene, (0, 2), 5, 2)
+    if other is not None:
+        add_strip(scene, (0, 4), 7, 3, **other)
+        scene.add_balls([(i, 9.0) for i in range(LONE)], radius=0.01)
+    return scene
+
+
+def after(scene, number, method, variant=VARIANTS[0]):
+    """Places of the first two strips after 20 steps."""
+    with simulate(scene, variant, integrator=method, dt=1 / 60, substeps=1, contacts="off") as sim:
+        sim.step(20)
+        return sim.position[: number + 5]
+
+
+OTHERS = ({}, {"stiffness": 1e9, "speed": 30.0}, {"mass": 1e3, "speed": 0.0}, {"mass": 1e-3, "speed": 5.0})
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("method", "number"), [("implicit_euler", 6), ("implicit_euler", FEWEST_BALLS + 2), ("tr_bdf2", 6)]
+)
+def test_a_body_does_not_depend_on_another(method, number):
+    """The bits are equal beside any other, however stiff, heavy or fast that is, and alone; with and without aggregates."""
+    found = [after(beside(number, other), number, method) for other in OTHERS]
+    alone = after(beside(number, None), number, method)
+    assert np.isfinite(alone).all()
+    for other in found:
+        assert np.array_equal(other, found[0])
+    assert found[0] == pytest.approx(alone, rel=1e-10 if F64 else 1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_body_does_not_depend_on_another_where_launches_run_ahead(monkeypatch):
+    """As on a device: sums by groups, and bodies that go on while others still search."""
+    expected = after(beside(6, {}), 6, ImplicitEuler(1e-4))
+    monkeypatch.setattr(reductions, "on_device", lambda: True)
+    found = [after(beside(6, other), 6, ImplicitEuler(1e-4), GATHERED) for other in OTHERS[:3]]
+    assert np.array_equal(found[1], found[0])
+    assert np.array_equal(found[2], found[0])
+    assert found[0] == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.once
+def test_balls_are_grouped_by_what_joins_them():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([(i, 0) for i in range(10)], radius=0.1, pinned=[0, 3, 9])
+    scene.add_springs([[1, 0], [0, 2], [2, 3], [5, 6], [6, 7]], stiffness=1.0)  # two hang on ball 0; 4, 8 are lone
+    body, free, joined = bodies.bodies_of(scene, NO_TIES)
+    assert body.tolist() == [0, 0, 1, 1, 2, 3, 3, 3, 2, 0]
+    assert free.tolist() == [False, False, False, True]
+    assert joined.tolist() == [True, True, False, True]
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("device", [False, True])
+def test_each_ball_is_in_one_part_of_its_body(device, monkeypatch):
+    monkeypatch.setattr(reductions, "on_device", lambda: device)
+    scene = ts.Scene(dim=2)
+    sizes = (1100, 2, 70, 1, 4200, 64)
+    for k, n in enumerate(sizes):
+        balls = scene.add_balls([(i, k) for i in range(n)], radius=0.1)
+        scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=1.0) if n > 1 else None
+    with ts.Simulation(scene, arch="cpu", integrator="implicit_euler", contacts="off") as sim:
+        found = sim.parts.integrator.solver.bodies
+        part, span, chunk = found.part.to_numpy(), found.span.to_numpy(), found.chunk.to_numpy()
+        order = found.order.to_numpy()
+    covered = []
+    for c in range(found.parts):
+        balls = order[part["first"][c] + np.arange(part["count"][c]) * part["stride"][c]]
+        assert set(found.body[balls]) == {part["body"][c]}
+        assert len(balls) <= reductions.part_size()
+        covered += balls.tolist()
+    assert sorted(covered) == list(range(sum(sizes)))
+    assert chunk[0] == 0
+    assert chunk[found.chunks] == found.parts
+    assert (np.diff(chunk[: found.chunks + 1]) > 0).all()
+    rows = np.concatenate([np.arange(b, e) for b, e in zip(span["begin"], span["end"])])
+    assert rows.tolist() == list(range(found.groups and found.parts, found.parts + found.groups))
