@@ -4,6 +4,7 @@ from math import log2, nan
 
 __all__ = ["LEAST_RATIO", "error_from", "error_of_three"]
 
+SAFETY = 1.25  # of an error told by three results (Roache, Verification and Validation in Computational Science, 1998)
 LEAST_RATIO = 1.25  # of differences at successive halvings, below which no order is seen
 
 
@@ -18,10 +19,13 @@ def error_from(difference: float, order: float) -> float:
 def error_of_three(first: float, second: float, order: float, ratio: float) -> float:
     """Error of the coarsest of three results that differ by `first`, then by `second`, in their unit; nan where no order shows.
 
-    ratio: of such differences over the whole run, 2^p where they fall with the power p. A p below `order` is taken for the order;
-    above it `order` is. The larger of the two differences counts, each as p tells it, for one may vanish by luck.
+    ratio: of such differences over the whole run, 2^p where they fall with the power p. The lower p of the run's, the result's
+    own and `order` is taken for the order. The larger of the two differences counts, each as p tells it, for one may vanish by
+    luck. Roache's factor of safety is included.
     """
     if not ratio >= LEAST_RATIO:
         return nan
+    if 0.0 < LEAST_RATIO * second <= first <= ratio * second:
+        ratio = first / second
     seen = min(order, log2(ratio))
-    return error_from(max(first, second * 2.0**seen), seen)
+    return SAFETY * error_from(max(first, second * 2.0**seen), seen)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.analysis.richardson import error_of_three
+from taichi_sim.analysis.richardson import error_from, error_of_three
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
@@ -45,7 +45,7 @@ class StepError(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """What one run comes to: positions of free balls [m], energy [J], and numbers by name at each frame."""
+    """Result of one run: positions of free balls [m], energy [J], and numbers by name at each frame."""
 
     place: NDArray
     energy: float
@@ -167,7 +167,9 @@ class _Judge:
 
     def error(self, differences: list[float]) -> float:
         """Error of the first run in one number, from its differences."""
-        return error_of_three(differences[0], differences[1] if len(differences) > 1 else 0.0, self.order, self.ratio)
+        if len(differences) == 1:
+            return error_from(differences[0], self.order)
+        return error_of_three(differences[0], differences[1], self.order, self.ratio)
 
 
 def _off(runs: list[list[float]], order: float, digit: float) -> tuple[float, float, float]:
@@ -184,14 +186,10 @@ def _off(runs: list[list[float]], order: float, digit: float) -> tuple[float, fl
     values = [_summed_up(run) for run in runs]
     judge = _Judge([_rms(one) for one in apart], digit * max(map(abs, values[0])), order)
     ends = [near]
-    for k, extreme in ((1, np.nanargmin), (2, np.nanargmax)):
-        at = int(extreme(runs[0]))  # there the runs differ even where their extremes agree by luck
-        ends.append(
-            [
-                float(np.fmax(abs(a[k] - b[k]), abs(x[at] - y[at])))
-                for (a, b), (x, y) in zip(pairwise(values), pairwise(runs))
-            ]
-        )
+    for extreme in (np.nanargmin, np.nanargmax):
+        # where runs have their extremes, the runs are as far apart as the extremes at least, and extremes may agree by luck
+        at = [int(extreme(run)) for run in runs]
+        ends.append([max(abs(x[i] - y[i]) for i in at) for x, y in pairwise(runs)])
     last, least, most = (judge.error(one) + digit * abs(value) for one, value in zip(ends, values[0]))
     return last, least, most
 
