@@ -232,6 +232,6 @@ def test_errors_go_between_processes():
 @pytest.mark.parametrize("paths", [[""], ["x.csv", ""]])
 def test_an_output_without_a_name_is_refused(paths, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match="^the name of the output is empty"):
+    with pytest.raises(ValueError, match=r"^the name of the output is empty"):
         open_outputs(paths)
     assert not list(tmp_path.iterdir())

@@ -224,7 +224,7 @@ def test_saving_where_there_is_no_folder(tmp_path):
 def test_a_scene_that_could_not_be_read_again_is_not_written(tmp_path):
     scene = Scene(dim=2)
     scene.add_wall((0, 1), 0.0)
-    with pytest.raises(SceneError, match="^balls: holds no ball; a scene file needs at least one$"):
+    with pytest.raises(SceneError, match=r"^balls: holds no ball; a scene file needs at least one$"):
         scene.save(tmp_path / "a.toml")
     assert not list(tmp_path.iterdir())
 
