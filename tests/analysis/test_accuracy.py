@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from physics_support import F64, PRECISION, simulate
+from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy
