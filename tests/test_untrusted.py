@@ -397,6 +397,7 @@ def test_a_scene_comes_back_from_its_document():
     assert {part.name for part in PARTS} - VALUES.keys() == {
         "attachments",
         "bricks",
+        "membranes",
     }  # which become springs; see also their own tests
     scene = again()
     values, arrays = document(scene)
