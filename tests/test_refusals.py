@@ -8,6 +8,7 @@ import pytest
 import taichi as ti
 
 import taichi_sim as ts
+from taichi_sim.outputs import open_outputs
 from taichi_sim.scene.document import document
 
 pytestmark = pytest.mark.once
@@ -226,3 +227,11 @@ def test_errors_go_between_processes():
     error = ts.UnstableError("ball 3 left the world", 1.5, 3, None, 0.01)
     same = pickle.loads(pickle.dumps(error))
     assert (str(same), same.time, same.ball, same.spring, same.safe_dt) == ("ball 3 left the world", 1.5, 3, None, 0.01)
+
+
+@pytest.mark.parametrize("paths", [[""], ["x.csv", ""]])
+def test_an_output_without_a_name_is_refused(paths, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=r"^the name of the output is empty"):
+        open_outputs(paths)
+    assert not list(tmp_path.iterdir())

@@ -52,6 +52,8 @@ def open_output(
     suffix = Path(name).suffix.lower()
     if name.endswith(("/", "\\")) or (suffix not in (*CODECS, *OTHERS) and Path(name).is_dir()):
         suffix = ""
+    if not name:
+        raise ValueError("the name of the output is empty; give a file, x.mp4 for instance, or a folder of frames")
     if resume and overwrite:
         raise ValueError("overwrite and resume exclude each other; give one of them")
     codecs = CODECS.get(suffix, ())

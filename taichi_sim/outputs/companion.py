@@ -1,26 +1,31 @@
-"""Companion: a second run at half the step and with other rounding, by which the errors of both are estimated."""
+"""Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; for methods of
+first order a third one at a quarter."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import pairwise
+from math import inf, nan
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.analysis.richardson import error_from
+from taichi_sim.analysis.richardson import error_from, error_of_three
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
 __all__ = ["Companion", "StepError"]
 
 ROUNDING = {"f32": 2.0**-24, "f64": 2.0**-53}  # of a number of its size
+CERTAIN = 8.0  # times the rounding of a number: differences above that are not of rounding alone
 LAST = 8  # part of the frames by which the error of the last is judged
 
 
 class StepError(NamedTuple):
-    """Estimated errors of step and rounding. step [s]: of the second run; rms, largest [m]: of the free balls' positions at the
-    end; energy [J]: of the total energy at the end; probes: of each number's last, least and largest value; why: words where
-    the second run failed and nothing is known."""
+    """Estimated errors of step and rounding, nan where the runs show no order. step [s]: of the second run; rms, largest [m]: of
+    the free balls' positions at the end; energy [J]: of the total energy at the end; probes: of each number's last, least and
+    largest value; why: words where the second run failed and nothing is known; runs: how many there were."""
 
     step: float
     rms: float = float("nan")
@@ -29,6 +34,22 @@ class StepError(NamedTuple):
     probes: Mapping[str, tuple[float, float, float]] = {}
     why: str = ""
     rounded: bool = False  # otherwise, too, in the second run
+    runs: int = 2
+
+    @property
+    def unseen(self) -> list[str]:
+        """Names of quantities whose runs show no order."""
+        quantities = {"the positions": self.rms, "the energy": self.energy}
+        names = [name for name, off in quantities.items() if np.isnan(off)]
+        return names + [name for name, off in self.probes.items() if np.isnan(off).all()]
+
+
+class _Run(NamedTuple):
+    """Result of one run: positions of free balls [m], energy [J], and numbers by name at each frame."""
+
+    place: NDArray
+    energy: float
+    probes: dict[str, list[float]]
 
 
 class Companion:
@@ -36,7 +57,8 @@ class Companion:
 
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
     so that both runs enclose the scene as it is meant. Contacts, and forces that begin or end at some moment, make any method one
-    of first order. No number is known better than to the rounding of its own size.
+    of first order. A method of first order takes large steps, at which its order may not be seen: a third run at a quarter of the
+    step shows it. No number is known better than to the rounding of its own size.
     """
 
     def __init__(self, simulation: Any) -> None:
@@ -53,37 +75,48 @@ class Companion:
         """Run again and compare at the frames' times. simulation: the first run at its end; advance takes the number of frames
         done and the simulated seconds."""
         half, single = simulation.dt / simulation.substeps / 2.0, simulation.backend.precision == "f32"
-        end, free = simulation.position, ~simulation.scene.pinned
-        energy = simulation.energy()
-        with self._second(simulation) as again:
-            found: list[dict[str, float]] = []
-            try:
-                for index, (time, _) in enumerate(self._readings):
-                    again.step(max(0, round((time - again.time) / again.dt)))
-                    found.append(again.probes())
-                    advance(index + 1, time - self._start.time)
-            except UnstableError as error:
-                return StepError(half, why=str(error).split("; the last good")[0], rounded=single)
-            off = np.linalg.norm((again.position - end)[free], axis=1)
-            changed = abs(again.energy().total - energy.total)
-            order = _order(again)
+        free, order = ~simulation.scene.pinned, _order(simulation)
+        energy, third = simulation.energy(), simulation.settings.integrator.method.order == 1
+        runs = [_Run(simulation.position[free], energy.total, _by_name([probes for _, probes in self._readings]))]
+        try:
+            again, start = self._second(simulation)
+            with again:
+                runs.append(self._repeat(again, free, advance))
+                if third:
+                    with _resumed(again.at_half_step(), start) as once_more:
+                        runs.append(self._repeat(once_more, free, advance))
+        except UnstableError as error:
+            return StepError(half, why=str(error).split("; the last good")[0], rounded=single)
         digit = ROUNDING[simulation.backend.precision]
-        place = digit * np.linalg.norm(end[free], axis=1)
-        rms, rounded = (float(np.sqrt(np.mean(one**2))) if off.size else 0.0 for one in (off, place))
-        probes = {
-            name: _off(mine, [one[name] for one in found], order, digit) for name, mine in self._by_name().items()
-        }
+        offs = [np.linalg.norm(a.place - b.place, axis=1) for a, b in pairwise(runs)]
+        place = digit * np.linalg.norm(runs[0].place, axis=1)
+        rms, largest = (
+            _Judge([_rms(off) for off in offs], _rms(place), order),
+            [float(off.max(initial=0.0)) for off in offs],
+        )
+        energies = [abs(a.energy - b.energy) for a, b in pairwise(runs)]
+        least_energy = digit * float(np.abs(energy[:3]).sum())
         return StepError(
             half,
-            error_from(rms, order) + rounded,
-            error_from(float(off.max(initial=0.0)), order) + float(place.max(initial=0.0)),
-            error_from(changed, order) + digit * float(np.abs(energy[:3]).sum()),
-            probes,
+            rms.error(rms.differences) + _rms(place),
+            rms.error(largest) + float(place.max(initial=0.0)),
+            _Judge(energies, least_energy, order).error(energies) + least_energy,
+            {name: _off([run.probes[name] for run in runs], order, digit) for name in runs[0].probes},
             rounded=single,
+            runs=len(runs),
         )
 
-    def _second(self, simulation: Any) -> Any:
-        """The second run, at the start of the first."""
+    def _repeat(self, again: Any, free: NDArray, advance: Callable[[int, float], None]) -> _Run:
+        """Run to the end of the first run, and read at its frames."""
+        found: list[dict[str, float]] = []
+        for index, (time, _) in enumerate(self._readings):
+            again.step(max(0, round((time - again.time) / again.dt)))
+            found.append(again.probes())
+            advance(index + 1, time - self._start.time)
+        return _Run(again.position[free], again.energy().total, _by_name(found))
+
+    def _second(self, simulation: Any) -> tuple[Any, Any]:
+        """The second run, at the start of the first, and that start."""
         if simulation.backend.precision == "f64":
             again, start = simulation.at_half_step(), self._start
         else:
@@ -93,16 +126,27 @@ class Companion:
             start = replace(
                 self._start, position=np.where(given, other_neighbour(scene.position), self._start.position)
             )
-        try:
-            again.resume(start)
-        except BaseException:
-            again.close()
-            raise
-        return again
+        return _resumed(again, start), start
 
-    def _by_name(self) -> dict[str, list[float]]:
-        names = self._readings[0][1] if self._readings else {}
-        return {name: [probes[name] for _, probes in self._readings] for name in names}
+
+def _resumed(simulation: Any, start: Any) -> Any:
+    """A simulation put to a start; closed where that fails."""
+    try:
+        simulation.resume(start)
+    except BaseException:
+        simulation.close()
+        raise
+    return simulation
+
+
+def _by_name(readings: list[dict[str, float]]) -> dict[str, list[float]]:
+    """Numbers at all frames, by name."""
+    names = readings[0] if readings else {}
+    return {name: [probes[name] for probes in readings] for name in names}
+
+
+def _rms(values: NDArray) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def _order(simulation: Any) -> float:
@@ -112,16 +156,41 @@ def _order(simulation: Any) -> float:
     return order if order > 0 else 1
 
 
-def _off(mine: list[float], other: list[float], order: float, digit: float) -> tuple[float, float, float]:
+class _Judge:
+    """Differences of successive runs over all of a quantity, and what they say of its order; rounding: that of the quantity."""
+
+    def __init__(self, differences: list[float], rounding: float, order: float) -> None:
+        self.differences, self.order = differences, order
+        self.ratio = inf  # rounding alone, or two runs, which the order is believed of
+        if len(differences) > 1 and max(differences) > CERTAIN * rounding:
+            self.ratio = differences[0] / differences[1] if differences[1] > 0.0 else inf
+
+    def error(self, differences: list[float]) -> float:
+        """Error of the first run in one number, from its differences."""
+        if len(differences) == 1:
+            return error_from(differences[0], self.order)
+        return error_of_three(differences[0], differences[1], self.order, self.ratio)
+
+
+def _off(runs: list[list[float]], order: float, digit: float) -> tuple[float, float, float]:
     """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded.
 
     Differences that swing, and those of rounding, pass through 0: the last value is as wrong as the frames before it.
     """
-    before = len(mine) - 1 - len(mine) // LAST
-    near = [abs(a - b) for a, b in zip(mine[before:], other[before:]) if not np.isnan(a - b)]
-    ends = list(zip(_summed_up(mine), _summed_up(other)))
-    differences = [max(near, default=float("nan")), *(abs(a - b) for a, b in ends[1:])]
-    last, least, most = (error_from(d, order) + digit * abs(a) for d, (a, _) in zip(differences, ends))
+    before = len(runs[0]) - 1 - len(runs[0]) // LAST
+    apart = [np.subtract(a, b) for a, b in pairwise(runs)]
+    apart = [one[~np.isnan(one)] for one in apart]
+    near = [float(np.abs(one[before - len(runs[0]) :]).max(initial=0.0)) for one in apart]
+    if not all(len(one) for one in apart):
+        return nan, nan, nan
+    values = [_summed_up(run) for run in runs]
+    judge = _Judge([_rms(one) for one in apart], digit * max(map(abs, values[0])), order)
+    ends = [near]
+    for extreme in (np.nanargmin, np.nanargmax):
+        # where runs have their extremes, the runs are as far apart as the extremes at least, and extremes may agree by luck
+        at = [int(extreme(run)) for run in runs]
+        ends.append([max(abs(x[i] - y[i]) for i in at) for x, y in pairwise(runs)])
+    last, least, most = (judge.error(one) + digit * abs(value) for one, value in zip(ends, values[0]))
     return last, least, most
 
 

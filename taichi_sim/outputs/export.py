@@ -217,11 +217,21 @@ class Summary:
                 yield f"{'uncertainty':12} not estimated; --error (in Python error=True) adds a second run at half the step"
             return
         by = f"a second run at a step of {plain_number(found.step)} s{' with other rounding' * found.rounded}"
+        if found.runs > 2:
+            by += " and a third at half of that"
         if found.why:
             yield f"{'uncertainty':12} not known: {by} failed: {found.why}"
             return
-        rms, largest = measures([found.rms, found.largest], [None, None], "m")
-        yield f"{'uncertainty':12} of {STEP}, from {by}: positions at the end +- {rms} rms, +- {largest} at most"
+        known = ""
+        if not np.isnan(found.rms):
+            rms, largest = measures([found.rms, found.largest], [None, None], "m")
+            known = f": positions at the end +- {rms} rms, +- {largest} at most"
+        yield f"{'uncertainty':12} of {STEP}, from {by}{known}"
+        if found.unseen:
+            yield (
+                f"{'':12} not known of {', '.join(found.unseen)}: the runs do not come nearer to each other as the step falls;"
+                " take shorter steps"
+            )
         if self.left_out:
             yield not_included(self.left_out)
 

@@ -218,7 +218,15 @@ def test_a_small_scene_needs_no_array_file(tmp_path):
 
 def test_saving_where_there_is_no_folder(tmp_path):
     with pytest.raises(FileNotFoundError, match="there is no folder"):
-        Scene().save(tmp_path / "none" / "a.toml")
+        load(tmp_path, GOOD).save(tmp_path / "none" / "a.toml")
+
+
+def test_a_scene_that_could_not_be_read_again_is_not_written(tmp_path):
+    scene = Scene(dim=2)
+    scene.add_wall((0, 1), 0.0)
+    with pytest.raises(SceneError, match=r"^balls: holds no ball; a scene file needs at least one$"):
+        scene.save(tmp_path / "a.toml")
+    assert not list(tmp_path.iterdir())
 
 
 # (what to replace in GOOD, by what, line, the rest of the message)

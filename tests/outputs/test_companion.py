@@ -5,8 +5,8 @@ import pytest
 from physics_support import PRECISION
 
 import taichi_sim as ts
-from taichi_sim.analysis.richardson import error_from
-from taichi_sim.outputs import export
+from taichi_sim.analysis.richardson import error_from, error_of_three
+from taichi_sim.outputs import companion, export
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
 G, WEIGHTS, DURATION = 9.79, 12, 0.3
@@ -87,3 +87,46 @@ def test_the_delay_of_impacts_of_balls_is_said_to_be_left_out():
     with ts.Simulation(scene, dt=2e-3, substeps=1) as sim:
         summary = export(sim, None, fps=50, duration=0.1, error=True)
     assert any("impacts of balls" in one for one in summary.left_out)
+
+
+def stated_by_implicit_euler(dt):
+    """What is stated of the last, least and largest tension of all weights, and how far they are off, for 0.6 s."""
+    with ts.Simulation(weights(), integrator="implicit_euler", dt=dt, substeps=1, contacts="off") as sim:
+        summary = export(sim, None, fps=50, duration=0.6, error=True)
+        t = np.arange(31)[:, None] / 50.0
+    true = MASS * G * (1.0 - np.cos(np.sqrt(STIFFNESS / MASS) * t))
+    truth = np.stack([true[-1], true.min(axis=0), true.max(axis=0)], axis=1)
+    names = [f"w{k}.tension" for k in range(WEIGHTS)]
+    found = np.array([summary.probes[name] for name in names])
+    return np.array([summary.step_error.probes[name] for name in names]), np.abs(found - truth), summary.lines()
+
+
+def test_a_method_of_first_order_states_what_it_is_off_or_that_this_is_not_known():
+    """Two runs alone stated a third or a half of it at such steps, where the order of the method is not seen."""
+    inside = known = 0
+    for dt in (0.01, 0.0025, 0.001):
+        stated, off, said = stated_by_implicit_euler(dt)
+        inside += np.count_nonzero(off <= 1.001 * stated + 1e-4 * G)
+        known += np.count_nonzero(~np.isnan(stated))
+        assert ("not known of" in "\n".join(said)) == bool(np.isnan(stated).all(axis=1).any())
+        assert any("and a third at half of that" in line for line in said)
+    assert inside >= 0.95 * known
+    assert known > 0.5 * 3 * stated.size
+
+
+@pytest.mark.once
+def test_three_results_tell_an_order():
+    for p in (0.5, 1.0, 2.0):
+        at = [3.0 * h**p for h in (0.4, 0.2, 0.1)]
+        differences = at[0] - at[1], at[1] - at[2]
+        ratio = differences[0] / differences[1]
+        assert error_of_three(*differences, max(1.0, p), ratio) == pytest.approx(1.25 * at[0])
+        assert error_of_three(0.0, differences[1], max(1.0, p), ratio) == pytest.approx(1.25 * at[0])  # agree by luck
+    assert np.isnan(error_of_three(1.0, 0.9, 1.0, 1.1))
+
+
+@pytest.mark.once
+def test_extremes_that_agree_by_luck_are_no_better_known():
+    first = [0.0, 5.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    other = [0.0, 1.0, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert companion._off([first, other], 2.0, 0.0)[2] == pytest.approx(4.0 * 4.0 / 3.0)
