@@ -34,7 +34,11 @@ def test_a_sheet_does_not_depend_on_another():
     for other in (None, *OTHERS):
         scene, curve = sheets(other)
         with simulate(scene, forces=[curve], integrator="implicit_euler", dt=1 / 60, substeps=1, contacts="off") as sim:
-            sim.step(20)
+            for kick in np.random.default_rng(9).normal(
+                size=(5, 36, 3)
+            ):  # the change of the step before is a bad guess now
+                sim.set_velocity(np.concatenate([np.zeros((1, 3)), kick, sim.velocity[37:]]))
+                sim.step(4)
             found.append(sim.position[:37])
     alone, first, *rest = found
     assert np.isfinite(alone).all()
