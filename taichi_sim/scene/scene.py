@@ -568,8 +568,6 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene as TOML; large arrays go to an .npz beside it. Raises SceneError without a ball."""
-        if not self.n_balls:
-            raise SceneError("balls", says="holds no ball; a scene file needs at least one")
         save_scene(self, path)
 
     def __repr__(self) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import replacing, require_name
+from taichi_sim.common.errors import SceneError
 from taichi_sim.common.plain import plain
 from taichi_sim.scene.document import saved
 from taichi_sim.scene.part import Columns, Part, Row, group_keys
@@ -24,12 +25,14 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
     """Write a scene file; arrays of more than 200 numbers go to `<stem>_arrays.npz` beside it. Each is replaced whole.
 
     Springs and triangles are written as they are, not as the shapes that made them, textures in its folder by their place
-    there. Raises OSError where the file cannot be written.
+    there. Raises OSError where the file cannot be written, SceneError without a ball.
     """
     import tomli_w
 
     file = Path(path)
     require_name(file)
+    if not scene.n_balls:
+        raise SceneError("balls", says="holds no ball; a scene file needs at least one")
     arrays_file = file.with_name(file.stem + "_arrays.npz")  # not x.npz, which `run -o` may be asked to write
     document, long = _document(saved(scene), arrays_file.name)
     for look in document.get("output", {}).get("looks") or ():

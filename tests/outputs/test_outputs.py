@@ -34,9 +34,9 @@ class FakeSimulation:
     settings = Settings.resolve(scene, {})
     backend = Backend("cpu", "f32", 2)
     parts = SimpleNamespace(arguments=[()], fields=SimpleNamespace(layout=()), keeps_kernels="")
+    setup = SimpleNamespace(at_touch=False)
     time, dt, substeps = 0.0, 1e-3, 1
     torn = None
-    dt, substeps = 1e-3, 1
 
     def __init__(self, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.fails_at, self.failure = fails_at, error

@@ -118,6 +118,7 @@ class Own(Output):
 def _as_often_as_asked(monkeypatch):
     monkeypatch.setattr(checkpoints, "SHARE", 1e9)
     monkeypatch.setattr(Steady, "made", 0)
+    monkeypatch.setattr(Steady, "ends", -1)
     monkeypatch.setattr(Remembers, "ends", -1)
     draw_with(monkeypatch, Remembers)
 

@@ -424,7 +424,7 @@ def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(t
 
         said, number, apart = "slow", 1, True
 
-        def run(self, work, waiting, what):
+        def run(self, work, waiting, what, alone):
             self.batches, self.folder, self.mark = list(waiting), tmp_path / "s" / "batches", work.args[0].mark
             keep_batch(self.folder, rows := [Row.of(point) for point in self.batches[0]], self.mark)
             yield self.batches[0], rows
