@@ -42,7 +42,7 @@ def test_the_truth_lies_within_what_is_stated(settled):
     assert (off <= stated * (1.0 if PRECISION == "f32" else 1.1) + 1e-12 * MASS * G).all()
     assert np.median(stated) < 30.0 * np.median(off) + 1e-12
     said = "\n".join(summary.lines())
-    assert "of all frames (step and rounding)" in said
+    assert "of all frames (step and rounding)" in said or (settled and PRECISION == "f64")  # constant to the last digit
     assert "with other rounding" in said or PRECISION == "f64"
     assert "not included: the mesh" in said
 
