@@ -4,7 +4,16 @@ from functools import partial
 from typing import Any
 
 from taichi_sim.device.engine import ti
-from taichi_sim.integrators.newton_decisions import CODES, DOUBTFUL, READY, SEARCHING, SOLVED, TRIED, solve_stage
+from taichi_sim.integrators.newton_decisions import (
+    CODES,
+    DOUBTFUL,
+    READY,
+    SEARCHING,
+    SOLVED,
+    TRIED,
+    compare_potentials,
+    solve_stage,
+)
 from taichi_sim.kernels import reductions
 
 __all__ = ["Launched"]
@@ -24,16 +33,16 @@ class Launched:
     A body that is done with its search goes on with the next one while others still search.
     """
 
-    _solve = solve_stage
+    _solve, compare = solve_stage, compare_potentials
 
     def __init__(self, solver: Any) -> None:
         self.solver = solver
         self.searches: dict[tuple[int, int], int] = {}  # by stage and iteration: how many it took last
         self.doubtful_stages: set[int] = set()  # whose guess was in doubt before
         for launch, names in (
-            (self._run, ("start_search", "search")),
+            (self._run, ("start_search", "search", "evaluate", "judge_potentials")),
             (self._run_stage, ("begin", "end")),
-            (self._run_step, ("linearise", "evaluate", "compare")),
+            (self._run_step, ("move", "linearise")),
             (self._ask, ("foremost", "report")),
         ):
             for name in names:
@@ -49,18 +58,21 @@ class Launched:
     def _run_ahead(self, s: float, stage: int) -> None:
         launched: Any = self  # whose kernels have names
         launched.begin(stage)
+        launched.move(s)
         launched.linearise(s)
         iteration, taken, phase = 0, 0, DOUBTFUL if stage in self.doubtful_stages else READY
         while phase != SOLVED:
             if phase == DOUBTFUL:
                 self.doubtful_stages.add(stage)
                 launched.compare(s)
+                launched.move(s)
                 launched.linearise(s)
             if phase == TRIED:
                 launched.compare(s)
             else:
                 self._search(stage, iteration, taken if phase == SEARCHING else 0)
-            launched.evaluate(s)
+            launched.move(s)
+            launched.evaluate()
             taken, phase = divmod(launched.report(), CODES)
             if phase in (READY, SOLVED):
                 self.searches[stage, iteration] = taken
@@ -90,6 +102,10 @@ class Launched:
     @ti.kernel
     def _run_step(self, name: ti.template(), s: float):
         ti.static(getattr(self.solver, name))(s)
+
+    @ti.kernel
+    def weigh(self, s: float, taken: float):
+        self.solver.weigh(s, taken)
 
     @ti.kernel
     def _ask(self, name: ti.template()) -> int:

@@ -19,8 +19,7 @@ __all__ = ["StageElements"]
 class StageElements:
     """Elements in a StageSolver: forces where the stage ends, what the matrix has of them, and the potential.
 
-    Fields: `there` (n), x and v where the rest was worked out, p of a product; `back` (n), x and v with a part of the change
-    taken back; `step` [s] of the stage; `time` [s] at its end.
+    Fields: `there` (n), x and v where the rest is worked out, p of a product; `step` [s] of the stage; `time` [s] at its end.
     """
 
     def __init__(self, elements: Sequence[Any], model: Model, fields: Fields) -> None:
@@ -28,7 +27,6 @@ class StageElements:
         self.ties = np.concatenate([one.ties for one in elements])
         vector = ti.types.vector(self.dim, fields.real)
         self.there = fields.table(dict.fromkeys(("x", "v", "p"), vector), self.n)
-        self.back = fields.table(dict.fromkeys(("x", "v"), vector), self.n)
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
@@ -40,8 +38,7 @@ class StageElements:
         """total (n), padded, += s times the forces at base.x + s base.v."""
         self.step[0] = s
         for i in range(self.n):
-            self.there[i].x = base[i].x + s * base[i].v
-            self.there[i].v = base[i].v
+            self.place(i, base[i].x, base[i].v, s)
         for one in ti.static(self.elements):
             one.prepare(self.there)
             one.prepare_blocks(self.there, s)
@@ -67,14 +64,14 @@ class StageElements:
         return block
 
     @ti.func
-    def take_back(self, i, x, v, s):
-        """Set `back` of ball i at x to where the stage would end at the velocity v."""
-        self.back[i].x = x + s * v
-        self.back[i].v = v
+    def place(self, i, x, v, s):
+        """Set `there` of ball i at x to where the stage ends at the velocity v."""
+        self.there[i].x = x + s * v
+        self.there[i].v = v
 
     @ti.func
-    def potential(self, ball: ti.template(), i, s):
-        """Share of ball i, which is not pinned, and of its held corners in the elements' potential [J] at `there` or `back`."""
+    def potential(self, i, s):
+        """Share of ball i, which is not pinned, and of its held corners in the elements' potential [J]."""
         energy = ti.cast(0.0, self.wide)
         for one, held in ti.static(zip(self.elements, self.held)):
             own = one.start[i + 1] - one.start[i]
@@ -85,7 +82,7 @@ class StageElements:
                     j, t = corner.ball, corner.entry
                 e = list_entry(one, j, t)
                 if one.is_whole(e):
-                    energy += one.corner_potential(ball, j, one.row[e], s, self.wide)
+                    energy += one.corner_potential(self.there, j, one.row[e], s, self.wide)
         return energy
 
 

@@ -134,27 +134,22 @@ class StageGas:
         return self.step[0] * g
 
     @ti.func
-    def compare(self, solver: ti.template(), s):
-        """Add the energies to the potentials of a StageSolver: before a part of its change was added, then with it; `here` is
-        left as it was."""
-        for side in ti.static((1, 0)):
-            for i in range(self.n):
-                part = ti.static(float(side)) * ti.cast(solver.number[self.bodies.of(i)].part, float)
-                self.here[i].x = solver.base[i].x + s * (solver.base[i].v - part * solver.dv[i])
-            each_part(self.gases.parts, self._volume, ())
-            ti.loop_config(serialize=True)
-            for _ in range(1):
-                c = 0
-                for g in range(self.gases.count):
-                    volume = ti.cast(0.0, self.wide)
-                    while c < self.gases.parts and self.gases.part[c].gas == g:
-                        volume += self.part[c]
-                        c += 1
-                    own = self.bodies.first_part(self.bodies.of(self.gases.law[g].home))
-                    if ti.static(side == 1):
-                        solver.part[own].potential_before += self._stored(g, volume)
-                    else:
-                        solver.part[own].potential += self._stored(g, volume)
+    def weigh(self, solver: ti.template(), s, taken):
+        """Add the energies to the potentials of a StageSolver, with the multiple `taken` of its change taken back."""
+        for i in range(self.n):
+            part = taken * ti.cast(solver.number[self.bodies.of(i)].part, float)
+            self.here[i].x = solver.base[i].x + s * (solver.base[i].v - part * solver.dv[i])
+        each_part(self.gases.parts, self._volume, ())
+        ti.loop_config(serialize=True)
+        for _ in range(1):
+            c = 0
+            for g in range(self.gases.count):
+                volume = ti.cast(0.0, self.wide)
+                while c < self.gases.parts and self.gases.part[c].gas == g:
+                    volume += self.part[c]
+                    c += 1
+                own = self.bodies.first_part(self.bodies.of(self.gases.law[g].home))
+                solver.part[own].potential += self._stored(g, volume)
 
     @ti.func
     def _volume(self, c):

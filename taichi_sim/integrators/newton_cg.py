@@ -25,6 +25,7 @@ from taichi_sim.integrators.newton_decisions import (
     TRIED,
     WITHDRAWN,
     Verdicts,
+    compare_potentials,
     solve_stage,
 )
 from taichi_sim.integrators.newton_operators import Product, Residual
@@ -53,7 +54,7 @@ class StageSolver(Verdicts):
     given order, is less.
     """
 
-    solve = ti.func(solve_stage)
+    solve, compare = ti.func(solve_stage), ti.func(compare_potentials)
 
     def __init__(self, model: Model, springs: Springs | None, gases: Any, elements: Sequence[Any],
                  fields: Fields, method: Any) -> None:  # fmt: skip
@@ -117,7 +118,7 @@ class StageSolver(Verdicts):
     # Residual and matrix
 
     @ti.func
-    def _move(self, s):
+    def move(self, s):
         """Add the multiple of the change that is due in each body to the velocities; the residual there."""
         for i in range(self.n):
             v = self.base[i].v + ti.cast(self.number[self.bodies.of(i)].change, float) * self.dv[i]
@@ -141,8 +142,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def linearise(self, s):
-        """Add guesses to the velocities, or take them back; residual, matrix with its blocks and aggregates, and their size."""
-        self._move(s)
+        """Inverse blocks and aggregates of the matrix, and the size of the residual, where guesses were added or taken back."""
         self.bodies.each_part(self._measure, (s,))
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
@@ -231,10 +231,9 @@ class StageSolver(Verdicts):
         return ti.cast(inverse, float)
 
     @ti.func
-    def evaluate(self, s):
-        """Add changes that are found to the velocities, or take a part back, and recompute the residual only. Blocks and
-        aggregates stay as they were: they condition well enough, and the residual keeps its measure."""
-        self._move(s)
+    def evaluate(self):
+        """Size of the residual only, where changes that are found were added, or a part taken back. Blocks and aggregates stay
+        as they were: they condition well enough, and the residual keeps its measure."""
         self.bodies.each_part(self._measure_residual, ())
         self.bodies.join((self.part.residual, self.part.given, self.part.taken, self.part.moving))
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -258,15 +257,20 @@ class StageSolver(Verdicts):
             self._measure_work(c)
 
     @ti.func
-    def compare(self, s):
-        """Compare the potential of each body in doubt with that before its guess, or its change, was added."""
+    def weigh(self, s, taken):
+        """Potential of each body in doubt, with the multiple `taken` of its guess, or its change, taken back; keep the one that
+        was found before."""
         if ti.static(self.has_elements):
             for i in range(self.n):
-                part = ti.cast(self.number[self.bodies.of(i)].part, float)
-                self.elements.take_back(i, self.base[i].x, self.base[i].v - part * self.dv[i], s)
-        self.bodies.each_part(self._sum_potentials, (s,))
+                part = taken * ti.cast(self.number[self.bodies.of(i)].part, float)
+                self.elements.place(i, self.base[i].x, self.base[i].v - part * self.dv[i], s)
+        self.bodies.each_part(self._sum_potentials, (s, taken))
         if ti.static(self.inflated):
-            self.gas.compare(self, s)
+            self.gas.weigh(self, s, taken)
+
+    @ti.func
+    def judge_potentials(self):
+        """Compare the last two potentials of each body in doubt."""
         self.bodies.join((self.part.potential, self.part.potential_before))
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
@@ -277,21 +281,19 @@ class StageSolver(Verdicts):
                 self.judge_potential(b, now > before + self.rounding * ti.abs(before))
 
     @ti.func
-    def _sum_potentials(self, c, s):
+    def _sum_potentials(self, c, s, taken):
         b = self.bodies.part[c].body
         if self.doubted(b):
-            now = before = ti.cast(0.0, self.wide)
-            part = ti.cast(self.number[b].part, float)
+            phi = ti.cast(0.0, self.wide)
+            part = taken * ti.cast(self.number[b].part, float)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
-                now += ti.cast(self._potential(i, s, 0.0), self.wide)
-                before += ti.cast(self._potential(i, s, part), self.wide)
+                phi += ti.cast(self._potential(i, s, part), self.wide)
                 if ti.static(self.has_elements):
                     if self.model.inverse_mass[i] > 0.0:
-                        now += self.elements.potential(self.elements.there, i, s)
-                        before += self.elements.potential(self.elements.back, i, s)
-            self.part[c].potential = now
-            self.part[c].potential_before = before
+                        phi += self.elements.potential(i, s)
+            self.part[c].potential_before = self.part[c].potential
+            self.part[c].potential = phi
 
     @ti.func
     def _potential(self, i, s, part):

@@ -19,6 +19,7 @@ __all__ = [
     "TRIED",
     "WITHDRAWN",
     "Verdicts",
+    "compare_potentials",
     "solve_stage",
 ]
 
@@ -69,18 +70,27 @@ def solve_stage(self, s, stage):
     self.begin(stage)
     phase = BEGUN
     while phase != SOLVED:
-        if phase == BEGUN or phase == WITHDRAWN:  # noqa: SIM109 (Taichi has no tuples of numbers to look in)
-            self.linearise(s)
-        elif phase == READY:
+        if phase == READY:
             self.start_search()
         elif phase == SEARCHING:
             self.search()
-        elif phase == FOUND:
-            self.evaluate(s)
-        else:
+        elif phase == TRIED or phase == DOUBTFUL:  # noqa: SIM109 (Taichi has no tuples of numbers to look in)
             self.compare(s)
+        else:
+            self.move(s)
+            if phase == FOUND:
+                self.evaluate()
+            else:
+                self.linearise(s)
         phase = self.foremost()
     self.end(stage)
+
+
+def compare_potentials(self, s):
+    """Compare the potential of each body in doubt before its guess, or its change, was added with that after it."""
+    for added in range(2):
+        self.weigh(s, 1.0 - added)
+    self.judge_potentials()
 
 
 @ti.data_oriented

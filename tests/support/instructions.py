@@ -67,6 +67,16 @@ def _discs():
     return discs(0)
 
 
+def _bricks():
+    import taichi_sim as ts
+
+    scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
+    ts.shapes.jelly(
+        scene, (0.8, 0.2, 0.2), (9, 3, 3), young_modulus=1e5, poisson_ratio=0.4, density=1000.0, pinned="left"
+    )
+    return scene
+
+
 SCENES = {
     "jelly": lambda: (_demo("jelly"), {"driver": "fused"}),
     "surfaces": lambda: (_cloth(surface_collision=True), {}),
@@ -74,6 +84,7 @@ SCENES = {
     "discs": lambda: (_discs(), {}),
     "cloth": lambda: (_cloth(), {"driver": "fused"}),
     "implicit": lambda: (_cloth(), {"integrator": "implicit_euler", "dt": 4e-3}),
+    "bricks": lambda: (_bricks(), {"integrator": "implicit_euler", "dt": 4e-3, "driver": "fused"}),
     "rk4": lambda: (_discs(), {"integrator": "rk4"}),
 }
 
