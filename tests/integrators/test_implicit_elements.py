@@ -99,8 +99,8 @@ def test_a_block_of_the_wrong_sign_is_said():
         def block(self, ball: ti.template(), row, s):
             return -s * s * row.stiffness * self._weight(row) ** 2 * ti.Matrix.identity(float, 3)
 
-    scene = rod(3)
-    scene.set_balls(velocity=np.zeros((3, 3)))
+    scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+    scene.add_balls([[0.0, 0.0, 0.0], [0.8, 0.2, 0.0], [1.7, 0.0, 0.1]], mass=0.5, radius=0.1)
     with simulate(
         scene, forces=[Turned([[0, 1, 2]], 4e4)], integrator="implicit_euler", dt=0.01, contacts="off"
     ) as sim:
