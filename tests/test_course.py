@@ -81,11 +81,31 @@ def test_the_command_writes_pages_that_load_nothing_from_elsewhere(tmp_path, mon
         for place in re.findall(r'(?:src|href)="([^"#]+)', text):
             assert (folder / place).is_file(), (page.name, place)
     assert (folder / "05_springs.html").read_text(encoding="utf-8").count('class="formula"') == 2
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "file").touch()
-    with pytest.raises(SystemExit) as ended:
-        main(["course", "-o", str(tmp_path / "mine")])
-    assert ended.value.code == 2
+    assert not list(folder.glob(".*"))
+
+
+@pytest.mark.parametrize("file", ["file", "index.html"])
+def test_the_course_leaves_the_folders_of_others_alone(tmp_path, file):
+    from taichi_sim.reports.course import write
+
+    (tmp_path / file).write_text("mine")
+    with pytest.raises(FileExistsError, match="did not make"):
+        write(str(tmp_path))
+    assert [(kept.name, kept.read_text()) for kept in tmp_path.iterdir()] == [(file, "mine")]
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*make it first"):
+        write(str(tmp_path / "none" / "course"))
+
+
+def test_the_course_goes_on_in_a_folder_that_a_killed_run_left(tmp_path, monkeypatch):
+    from taichi_sim.reports import course
+
+    with monkeypatch.context() as killed:
+        killed.setattr(course, "_page", lambda text, pages=iter(("page",)): next(pages))  # ends before the second
+        with pytest.raises(StopIteration):
+            course.write(str(tmp_path))
+    assert not (tmp_path / "index.html").exists()
+    monkeypatch.setattr(course, "_page", lambda text: "page")
+    assert course.write(str(tmp_path)).read_text() == "page"
 
 
 def end(places):

@@ -41,6 +41,9 @@ WIDE_ARCHES = ("cpu", "cuda")  # with 64-bit numbers
 OWN_SETTINGS = ("ARCH", "DEFAULT_FP", "DEFAULT_IP", "CPU_MAX_NUM_THREADS", "OFFLINE_CACHE", "OFFLINE_CACHE_FILE_PATH",
     "OFFLINE_CACHE_MAX_SIZE_OF_FILES", "LOG_LEVEL", "FAST_MATH", "ADVANCED_OPTIMIZATION")  # fmt: skip
 MOST_THREADS = max(64, 4 * (os.cpu_count() or 1))  # where memory is limited the engine hangs when it cannot start them
+# Calls within each other. The engine's compiler takes some for each level of a kernel's source and of the functions in it:
+# 750 for a scene with one thread and all kinds of parts, beside those of its caller; Python allows 1000.
+DEEPEST_CALLS = 5000
 CACHE_BYTES = 1 << 30  # of compiled kernels kept on disk; of the 100 MB that Taichi keeps a dozen scenes leave nothing
 
 
@@ -136,6 +139,7 @@ def start(arch: str | None = None, precision: str | None = None, threads: int | 
     with _starting:
         runs = running()
         if runs is None:
+            sys.setrecursionlimit(max(sys.getrecursionlimit(), DEEPEST_CALLS))
             _running = runs = _init(arch or "auto", precision or "f32", threads or os.cpu_count() or 1)
             _program = program()
             _owner = (os.getpid(), threading.get_ident(), threading.current_thread().name)

@@ -293,6 +293,7 @@ class Verdicts:
             left = ti.min(left, moved)
         if not left >= 0.0:  # the matrix was not positive definite
             left = scale
+        indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
         noise = self.number[b].noise
         acts = scale > noise or left > noise or self.number[b].load > 0.0
         ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
@@ -301,6 +302,9 @@ class Verdicts:
             ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:
                 self.stage[0].missed = 1
+        if indefinite:
+            ti.atomic_max(self.stage[0].worst, ti.cast(1.0, float))
+            self.stage[0].missed = 1
 
     @ti.func
     def judge_all(self):

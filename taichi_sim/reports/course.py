@@ -3,7 +3,6 @@
 import io
 import os
 import re
-import shutil
 import sys
 import webbrowser
 from html import escape
@@ -14,11 +13,12 @@ from platformdirs import user_cache_path
 
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.own_folder import require_own
+from taichi_sim.outputs.base import require_folder_place
 from taichi_sim.studies.page_parts import STYLE
 
 __all__ = ["formula", "show", "write"]
 
-START = "index.html"
+START, RECORD = "index.html", "course.txt"
 OWN = """
 body { max-width: 48rem } img { max-width: 100%; background: #fff; border-radius: 6px } pre { overflow-x: auto; padding: .8rem;
   background: var(--soft); border-radius: 6px } th, td { white-space: normal; text-align: left }
@@ -28,17 +28,21 @@ svg.formula { width: auto; height: auto } svg.formula path, svg.formula use, svg
 
 def write(out: str | None = None) -> Path:
     """Write the pages and pictures into a folder, by default one of the user's caches, and return the first page. Raises OSError
-    where the folder is not one that this function made."""
+    where the folder is not one that this function made, which its first file tells."""
     source = Path(str(resources.files("taichi_sim.course")))
     folder = user_cache_path("taichi_sim", ensure_exists=True) / "course" if out is None else Path(out)
-    require_own(folder, START)
+    require_folder_place(folder)
+    require_own(folder, RECORD)
     folder.mkdir(exist_ok=True)
+    with replacing(folder / RECORD) as record:
+        record.write(b"The course of taichi_sim, which is written here anew each time.\n")
     for file in sorted(source.iterdir()):
         if file.suffix == ".md":
             with replacing(folder / f"{file.stem}.html") as page:
                 page.write(_page(file.read_text(encoding="utf-8")).encode())
         elif file.suffix in (".webp", ".png"):
-            shutil.copyfile(file, folder / file.name)
+            with replacing(folder / file.name) as picture:
+                picture.write(file.read_bytes())
     return folder / START
 
 

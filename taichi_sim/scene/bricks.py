@@ -76,10 +76,7 @@ class BrickMethods:
         if rest_size is None:
             size = _present_size(self.position[ij])
         else:
-            sides = validation.many(rest_size, 1)
-            size = validation.vectors(
-                "bricks.rest_size", np.broadcast_to(sides, (b, dim)) if len(sides) == 1 else sides, b, dim
-            )
+            size = validation.vectors("bricks.rest_size", rest_size, b, dim)
             for k in np.flatnonzero((size <= 0).any(axis=1)):
                 raise SceneError(f"bricks.rest_size[{k}]", size[k], "positive")
         first = len(self.bricks)

@@ -12,7 +12,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
 from taichi_sim.scene.part import Columns, Element, Quadratic
 
-__all__ = ["MEMBRANES", "MembraneMethods", "flattened"]
+__all__ = ["MEMBRANES", "MembraneMethods", "flattened", "require_coupling"]
 
 Floats = NDArray[np.float64]
 ROOM = 1.5  # times the stiffness at rest: what a sheet has that is stretched by a seventh
@@ -71,11 +71,7 @@ class MembraneMethods:
         one = validation.per_item("membranes.warp", warp, t, low=0)
         other = one if weft is None else validation.per_item("membranes.weft", weft, t, low=0)
         both = validation.per_item("membranes.coupling", coupling, t)
-        over = both**2 > one * other * (1.0 + 1e-9)
-        if over.any():
-            k = int(np.argmax(over))
-            allowed = f"at most {np.sqrt(one[k] * other[k]):.4g}, the root of warp times weft, and at least minus that"
-            raise SceneError(f"membranes.coupling[{k}]", both[k], allowed)
+        require_coupling("membranes.coupling", both, one, other)
         if shear is None and np.any(one != other):
             raise SceneError("membranes.shear", says="is missing; only where warp and weft are alike it has a default")
         angle = 0.5 * (one - both) if shear is None else validation.per_item("membranes.shear", shear, t, low=0)
@@ -84,6 +80,16 @@ class MembraneMethods:
         columns = {"warp": one, "weft": other, "shear": angle, "coupling": both, "damping": loss}
         self.tables["membranes"].append(t, corners=ij, rest=flat, **columns)
         return np.arange(first, first + t, dtype=np.int32)
+
+
+def require_coupling(where: str, coupling: ArrayLike, warp: ArrayLike, weft: ArrayLike) -> None:
+    """Raise SceneError for the first coupling [N/m] with which a strain of a sheet would give energy."""
+    one, both = np.multiply(warp, weft), np.asarray(coupling)
+    over = both**2 > one * (1.0 + 1e-9)
+    if over.any():
+        most = np.sqrt(one.flat[int(np.argmax(over))])
+        allowed = f"at most {most:.4g}, the root of warp times weft, and at least minus that"
+        validation.require(where, both, ~over, allowed)
 
 
 def _places(rest: ArrayLike, t: int) -> Floats:

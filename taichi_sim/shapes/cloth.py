@@ -14,6 +14,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import mesh as meshes
+from taichi_sim.scene.membranes import require_coupling
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
 from taichi_sim.shapes.base import (
@@ -153,6 +154,7 @@ def cloth(
         raise SceneError("cloth.mesh", says="takes the place of size and resolution; give one or the other")
     else:
         grid, surface = None, meshes.given_surface("cloth", mesh, up)
+        cloth_material.require_area(surface)
         if wrong := meshes.flaws(surface, closed=False):
             warnings.warn(
                 f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
@@ -165,6 +167,8 @@ def cloth(
     spacing *= factor
     ball_radius = or_default("cloth.radius", radius, (0.45 if grid is not None else 0.4) * thinner * spacing)
     drag = at_least_0("cloth.damping", damping)
+    if drag and weave is not None and weave.warp == 0:
+        raise SceneError("cloth.damping", says="acts along the warp as its stiffness does; give a warp above 0")
     strength = 0.0
     masses: float | NDArray = total
     rest = None
@@ -178,7 +182,8 @@ def cloth(
         parts = cloth_material.of_triangles(whole, None if grid is None else (grid[1], grid[2] * factor), made)
         rest = cloth_material.along_warp(whole, angle)
         time = spacing * DAMPING_RATIO * np.sqrt(made.mass_per_area / made.stretch) if made.stretch > 0 else 0.0
-        time = time if drag is None else drag / max(weave.warp, 1e-300)
+        if drag is not None:
+            time = drag / weave.warp if drag > 0 else 0.0
         masses, bends, drag = parts.mass, parts.bends, None
         kinds = [Springs(pairs, 0.0, k) for pairs, k in parts.springs]
         if break_strain is not None:
@@ -229,6 +234,9 @@ def _weave(
         shear = given["shear"] if given["shear"] is not None else SHEAR_PART * given["warp"]
         coupling = threads["coupling"]
         both = 0.0 if coupling is None else validation.number("cloth.coupling", coupling)
+        if not (given["warp"] or weft or shear):
+            raise SceneError("cloth.warp", given["warp"], "greater than 0 where weft and shear are not")
+        require_coupling("cloth.coupling", both, given["warp"], weft)
         return cloth_material.Weave(given["warp"], weft, shear, both), rigidity
     if all(value is None for value in sheet.values()):
         return None, rigidity

@@ -27,6 +27,7 @@ __all__ = [
     "of_mesh",
     "of_sheet",
     "of_triangles",
+    "require_area",
     "tension_shares",
     "turned",
 ]
@@ -71,8 +72,12 @@ def of_sheet(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> Parts
 
 
 def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
-    """A triangle mesh; its shear stiffness is a third of the stretch stiffness. Raises SceneError for triangles without area."""
+    """A triangle mesh; its shear stiffness is a third of the stretch stiffness. Raises SceneError for triangles without area and
+    for vertices without a triangle."""
     area = _areas(surface)
+    unused = np.setdiff1d(np.arange(len(surface.vertices)), surface.triangles)
+    if len(unused):
+        raise SceneError("cloth.mesh", says=f"vertex {unused[0]} (from 0) belongs to no triangle; take it out")
     third = np.repeat(area / 3, 3)
     mass = fabric.mass_per_area * np.bincount(surface.triangles.ravel(), third, minlength=len(surface.vertices))
     bends, across, strength = mesh_bends(surface, fabric.rigidity)  # a spring across is never stiffer than the sheet
@@ -167,14 +172,30 @@ def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> 
     return along_x.plus(along_z).plus(twist)
 
 
+def require_area(surface: Surface) -> None:
+    """Raises SceneError where all triangles of a mesh are without area."""
+    thin = _thin(*_corners(surface))
+    if thin.all():
+        _refuse_thin(np.flatnonzero(thin))
+
+
 def _areas(surface: Surface) -> NDArray[np.float64]:
+    a, b, c = _corners(surface)
+    _refuse_thin(np.flatnonzero(_thin(a, b, c)))
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def _corners(surface: Surface) -> tuple[NDArray, NDArray, NDArray]:
+    """Corners (t, 3) [m] of all triangles, the first of each, the second and the third."""
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
-    thin = np.flatnonzero(_thin(a, b, c))
+    return a, b, c
+
+
+def _refuse_thin(thin: NDArray) -> None:
     if len(thin):
         names = ", ".join(str(t) for t in thin[:3]) + (f" and {len(thin) - 3} more" if len(thin) > 3 else "")
         says = f"triangles {names} (from 0) have no area; take them out, or merge their corners"
         raise SceneError("cloth.mesh", says=says)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _thin(a: NDArray, b: NDArray, c: NDArray) -> NDArray[np.bool_]:

@@ -32,6 +32,7 @@ ROPE_DENSITY = 0.1  # kg/m
 FIRMNESS = (
     1000 * 10.0
 )  # m/s^2, stretch stiffness for each kg: a rope that hangs straight down is a thousandth longer at its top
+LEAST_LENGTH = 1e-3  # of the distance from its start to its end: a rope that is stretched more is a mistake
 STRETCH_DAMPING = 0.01  # of critical, for the slowest motion along a rope that is held at one end
 
 
@@ -89,6 +90,9 @@ def rope(
     if distance == 0:
         raise SceneError("rope.end", b, "another point than start")
     length = or_default("rope.length", length, distance)
+    if length < LEAST_LENGTH * distance:
+        allowed = f"at least {LEAST_LENGTH * distance:.4g}, {LEAST_LENGTH:g} of the distance from start to end"
+        raise SceneError("rope.length", length, allowed)
     chain = {"stiffness": stiffness, "bending_stiffness": bending_stiffness}
     elastic = {"EA": EA, "EI": EI, "young_modulus": young_modulus}
     exclusive("rope", elastic | {"mass_per_length": mass_per_length}, chain)

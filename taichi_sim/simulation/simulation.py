@@ -410,7 +410,12 @@ class Simulation(Reader):
         same structure in place of this one's; half: a step [s] as good as equal to the half."""
         if self.settings.tolerance is not None:
             raise SceneError("dt", says="is chosen by the tolerance of this simulation and cannot be halved")
-        halved = {**self._given, "dt": half or self.dt / 2.0, "substeps": self.substeps, "settle": None}
+        halved = {
+            **self._given,
+            "dt": self.dt / 2.0 if half is None else half,
+            "substeps": self.substeps,
+            "settle": None,
+        }
         return type(self)(scene or self.scene, forces=self._forces, **halved)
 
     def apply_impulse(self, balls: ArrayLike, impulse: ArrayLike) -> None:

@@ -11,7 +11,7 @@ from physics_support import simulate
 
 import taichi_sim as ts
 from taichi_sim.device import backend
-from taichi_sim.device.engine import ENGINE
+from taichi_sim.device.engine import ENGINE, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.kernel_cache import cache_folder
 from taichi_sim.render.renderer import Renderer
@@ -174,3 +174,19 @@ def test_the_number_of_threads_is_bounded(threads):
     """Where memory is limited the engine would wait for those that it cannot start."""
     with pytest.raises(ValueError, match=f"threads: {threads} is not allowed; it must be a whole number from 1 to"):
         backend.start("cpu", threads=threads)
+
+
+def test_a_caller_may_be_deep_within_other_calls():
+    """The engine compiles within some hundred calls of its own, to which those of the caller add up."""
+    backend.start("cpu")
+    n = ti.field(int, ())
+
+    @ti.kernel
+    def count():
+        n[None] += 1
+
+    def within(calls):
+        return within(calls - 1) if calls else count()
+
+    within(1500)
+    assert n[None] == 1

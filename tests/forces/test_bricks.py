@@ -208,6 +208,9 @@ def test_a_brick_that_is_turned_inside_out_comes_back() -> None:
         ({"poisson_ratio": 0.9999}, r"bricks.poisson_ratio.*0.9996"),
         ({"young_modulus": 0.0}, r"bricks.young_modulus.*greater than 0"),
         ({"rest_size": [1.0, -1.0]}, r"bricks.rest_size"),
+        ({"rest_size": 2.0}, r"bricks.rest_size: shape \(\) does not fit; it must be \(2,\) or \(1, 2\)"),
+        ({"rest_size": [1.0, 2.0, 3.0]}, r"bricks.rest_size: shape \(3,\) does not fit; it must be"),
+        ({"rest_size": [True, 1.0]}, r"bricks.rest_size: .* is not a list of 2-vectors"),
         ({"viscosity": -1.0}, r"bricks.viscosity"),
     ],
 )

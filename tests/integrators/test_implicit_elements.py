@@ -90,6 +90,25 @@ def test_an_element_of_the_user_moves_as_the_one_that_is_built_in(method):
     assert np.abs(runs[0] - scene.position).max() > 1e-3  # they move
 
 
+def test_a_block_of_the_wrong_sign_is_said():
+    """It makes every size of an impulse negative, which looks like a scene at rest."""
+
+    @ti.data_oriented
+    class Turned(Curve):
+        @ti.func
+        def block(self, ball: ti.template(), row, s):
+            return -s * s * row.stiffness * self._weight(row) ** 2 * ti.Matrix.identity(float, 3)
+
+    scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+    scene.add_balls([[0.0, 0.0, 0.0], [0.8, 0.2, 0.0], [1.7, 0.0, 0.1]], mass=0.5, radius=0.1)
+    with simulate(
+        scene, forces=[Turned([[0, 1, 2]], 4e4)], integrator="implicit_euler", dt=0.01, contacts="off"
+    ) as sim:
+        with pytest.warns(UserWarning, match="left 1 of the impulses of a stage unsolved"):
+            sim.step(3)
+        assert sim.solver().misses == 3
+
+
 @pytest.mark.once
 def test_some_of_the_derivatives_are_refused():
     class Half(Curve):

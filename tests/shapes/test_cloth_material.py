@@ -215,6 +215,46 @@ def test_a_folded_triangle_without_area():
     assert scene.n_balls == 0
 
 
+ROW = np.array([[0.0, 0, 0], [0.5, 0, 0], [2, 0, 0], [3, 0, 0]])
+SHEETS = [{"mesh": (ROW, [[0, 1, 2], [1, 2, 3]])}, {"mesh": (np.insert(ROW, 2, [0, 0, 1], axis=0), [[0, 2, 1]])}]
+
+
+@pytest.mark.parametrize("material", [{}, {"stretch_stiffness": 50.0}, {"warp": 50.0}])
+def test_a_mesh_without_area(material):
+    with pytest.raises(SceneError, match=r"cloth\.mesh: triangles 0, 1 .* no area"):
+        shapes.cloth(Scene(dim=3), **SHEETS[0], **material)
+
+
+@pytest.mark.parametrize("material", [{"mass_per_area": 0.3}, {"warp": 50.0}])
+def test_a_vertex_of_no_triangle(material):
+    with pytest.raises(SceneError, match=r"cloth\.mesh: vertex 3 \(from 0\) belongs to no triangle"):
+        shapes.cloth(Scene(dim=3), **SHEETS[1], **material)
+
+
+@pytest.mark.parametrize(
+    ("threads", "says"),
+    [
+        ({"warp": 0.0, "weft": 20.0, "damping": 0.5}, r"^cloth\.damping: acts along the warp"),
+        ({"warp": 0.0}, r"^cloth\.warp: 0\.0 is not allowed; it must be greater than 0"),
+        ({"warp": 50.0, "coupling": -60.0}, r"^cloth\.coupling: -60\.0 is not allowed; it must be at most 50"),
+        (
+            {"warp": 50.0, "weft": 8.0, "coupling": 21.0},
+            r"^cloth\.coupling: 21\.0 is not allowed; it must be at most 20",
+        ),
+    ],
+)
+def test_threads_that_make_no_sheet(threads, says):
+    with pytest.raises(SceneError, match=says):
+        shapes.cloth(Scene(dim=3), (1.0, 1.0), (3, 3), **threads)
+
+
+def test_a_sheet_may_have_threads_in_one_direction_only():
+    scene = Scene(dim=3)
+    shapes.cloth(scene, (1.0, 1.0), (3, 3), warp=0.0, weft=20.0, damping=0.0)
+    assert not scene.membrane_damping.any()
+    assert not scene.membrane_warp.any()
+
+
 MATERIAL = ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity")
 
 

@@ -433,6 +433,7 @@ REFUSED = [
     ),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), EA=0.0), r"rope\.EA: 0"),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), length=0.0), r"rope\.length: 0"),
+    (2, lambda s: shapes.rope(s, (0, 0), (3, 4), length=1e-30), r"rope\.length: 1e-30 .*at least 0\.005, 0\.001 of"),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), 2, length=1.5), r"rope\.length: 1\.5 .*more balls"),
     (2, lambda s: shapes.rope(s, (0, 0), (0, -1), 9, length=4.0), r"rope\.length: 4\.0 .*0 m apart sideways"),
     (2, lambda s: shapes.wheel(s, (0, 0), 0.0), r"wheel\.radius: 0"),

@@ -110,6 +110,14 @@ def test_substeps_divide_a_step():
         assert sim.substeps >= 1  # "auto" is resolved and reported
 
 
+def test_half_a_step_is_the_one_given_or_refused(fall):
+    with fall.at_half_step() as half:
+        assert half.dt == fall.dt / 2.0
+    for step in (0, 0.0):
+        with pytest.raises(ts.SceneError, match=r"^dt: 0.* is not allowed"):
+            fall.at_half_step(half=step)
+
+
 def test_dt_auto_is_safe_and_at_most_1_ms():
     with simulate(falling()) as sim:
         assert sim.dt == 1e-3
