@@ -26,6 +26,7 @@ SHOWN_BY = {  # pages with Python, and the test that runs it
     "python.md": "test_readme.py",
     "recipes.md": "test_recipes.py",
     "scenes.md": "test_recipes.py",
+    "start.md": "test_docs.py",
     "sweeps.md": "test_readme.py",
 }
 ROOMS_OF_STUDIES = {"benchmark"}  # what these say is about a developer's machine
@@ -108,17 +109,37 @@ def test_every_page_with_python_is_run_by_a_test():
             assert page.partition("/")[0] in (ROOT / "tests" / test).read_text(encoding="utf-8")
 
 
-def test_scene_files_of_the_first_page_load(tmp_path):
-    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed")
-    trimesh.creation.torus(0.3, 0.12).export(tmp_path / "ring.obj")
+@pytest.fixture
+def ring_folder(tmp_path, monkeypatch):
+    """The folder of the test, with the mesh that the first page makes."""
+    program = re.search(r"```python\n(.*?)```", PAGES["start.md"], re.DOTALL)[1]
+    monkeypatch.chdir(tmp_path)
+    exec(compile(program, "start.md", "exec"), {})
+    return tmp_path
+
+
+def test_scene_files_of_the_first_page_load(ring_folder):
     first, mesh = re.findall(r"```toml\n(.*?)```", PAGES["start.md"], re.DOTALL)
     (path, value) = re.search(r"--set (\S+)=(\S+)", PAGES["start.md"]).groups()
-    (tmp_path / "drop.toml").write_text(first)
-    stiffer = open_scene(tmp_path / "drop.toml", parameters={path: float(value)})
-    softer = ts.load_scene(tmp_path / "drop.toml")
+    (ring_folder / "drop.toml").write_text(first)
+    stiffer = open_scene(ring_folder / "drop.toml", parameters={path: float(value)})
+    softer = ts.load_scene(ring_folder / "drop.toml")
     assert stiffer.brick_modulus.max() > 2 * softer.brick_modulus.max()
-    (tmp_path / "ring.toml").write_text(f"format = 1\ndim = 3\n{mesh}")
-    assert 50 < ts.load_scene(tmp_path / "ring.toml").n_balls < 2000
+    (ring_folder / "ring.toml").write_text(f"format = 1\ndim = 3\n{mesh}")
+    assert 50 < ts.load_scene(ring_folder / "ring.toml").n_balls < 2000
+
+
+@pytest.mark.slow
+def test_the_ring_of_the_first_page_is_not_crushed(ring_folder):
+    first, mesh = re.findall(r"```toml\n(.*?)```", PAGES["start.md"], re.DOTALL)
+    around = re.sub(r"\[\[jelly\]\].*?(?=\[\[walls)", "", first, flags=re.DOTALL)
+    (ring_folder / "ring.toml").write_text(around + mesh)
+    scene = ts.load_scene(ring_folder / "ring.toml")
+    with ts.Simulation(scene, arch="cpu") as sim:
+        summary = ts.export(sim, None, fps=60, duration=1.0)
+    assert summary.inverted == (0, 0)
+    assert summary.crossings == 0
+    assert summary.most_contacts > 0
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ def not_worked_out(scene: Scene) -> str:
         return ""
     if any(element_rates(scene)):
         names = [one.name for one in ELEMENTS if one.acts(scene)]
-        return f"only springs are analysed, and this scene has {', '.join(names)}"
+        return f"the slowest motions are found for springs alone, and this scene also has {', '.join(names)}"
     return f"{free} free balls are more than the {MOST // scene.dim} analysed" if free * scene.dim > MOST else ""
 
 

@@ -93,7 +93,8 @@ def stability(
     )
     if rates.elastic > 0.0:
         part = 1.0 - largest_eigenvalue(scene, k)[0] / (largest_eigenvalue(scene, k)[0] + rates.elastic)
-        reason += f"; {what} make up {part:.0%} of the stiffness"
+        share = f"{part:.0%}" if part >= 0.01 else "less than 1%"
+        reason += f"; {share} of the stiffness comes from {what}"
     return Stability(h, now, spring, ball, reason + limit.caution)
 
 

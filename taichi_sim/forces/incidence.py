@@ -53,7 +53,6 @@ class Corners:
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
-        self.corner_names = tuple(names)
         members = np.concatenate([own[order, None], others[order]], axis=1)
         # (r, 2) the ball of each row, and the lowest free one of its element, or itself where all are pinned: balls joined
         lowest = np.where(model.scene.pinned[members], model.n, members).min(axis=1)
@@ -66,6 +65,7 @@ class Corners:
             self.slice_start = fields.integers(slices.start)
             values = {name: slices.spread(value) for name, value in values.items()}
         self.row = fields.table(typed, len(values["a"]), values, by_column=self.sliced)
+        self.others = tuple(self.row.get_member_field(name) for name in names)
         if self.tears:
             self.gone = fields.integers(len(own))
             self.members = members

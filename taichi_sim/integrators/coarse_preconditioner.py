@@ -159,8 +159,8 @@ class Aggregates:
         for k in range(one.start[i + 1] - one.start[i]):
             e = list_entry(one, i, k)
             corner, crosses = one.row[e], 0
-            for t in ti.static(range(len(one.corner_names))):
-                d = self.aggregate[getattr(corner, one.corner_names[t])]
+            for t, other in ti.static(enumerate(one.others)):
+                d = self.aggregate[other[e]]
                 if d != c and one.is_whole(e):
                     if ti.static(one.couples):
                         joint = ti.cast(one.corner_coupling(self.elements.there, i, corner, t, s), self.wide)
@@ -172,7 +172,7 @@ class Aggregates:
                     crosses = 1
             if ti.static(not one.couples):
                 if crosses == 1:  # x^T K x is at most the sum of the blocks of the diagonal, times their number
-                    bound = ti.static(1.0 + len(one.corner_names)) * one.corner_block(self.elements.there, i, corner, s)
+                    bound = ti.static(1.0 + len(one.others)) * one.corner_block(self.elements.there, i, corner, s)
                     own += ti.cast(bound, self.wide)
         return own
 

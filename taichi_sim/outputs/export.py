@@ -21,7 +21,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
-from taichi_sim.common.quantities import ROUNDED, measured, measures, plain_number
+from taichi_sim.common.quantities import ROUNDED, measures, plain_number
 from taichi_sim.device import compiling
 from taichi_sim.outputs import whole_run
 from taichi_sim.outputs.background_writer import Behind
@@ -209,7 +209,7 @@ class Summary:
             words = measures(values, off.get(name, (None,) * 3), unit)
             if all(one.endswith(ROUNDED) for one in words):
                 words, source = measures(values, (None,) * 3, unit), f" ({ROUNDED})"
-            last, least, most = words
+            last, least, most = (one.replace(f", {ROUNDED}", f" ({ROUNDED})") for one in words)
             each = f"{last} in the last frame; least {least}, peak {most} of all frames"
             yield f"{name:{width}} {f'{last} in all frames' if last == least == most else each}{source}"
         if found is None:
@@ -253,9 +253,11 @@ def _check_output(output: Any) -> None:
 
 
 def _at_the_end(energy: float, off: float | None) -> str:
-    """An energy [J]; off: the uncertainty by the step, where it is known."""
-    known = off is not None and not np.isnan(off)
-    return measured(energy, off, "J", STEP) if known else f"{energy:.6g} J"
+    """An energy without a prefix, as those beside it; off: the uncertainty by the step [J], where it is known."""
+    if off is None or np.isnan(off):
+        return f"{energy:.6g} J"
+    value, _, said = measures([energy], [off])[0].partition(", ")
+    return f"{value} J ({said or STEP})"
 
 
 class _Writer:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import findings
-from taichi_sim.analysis.element_rates import element_rates
+from taichi_sim.analysis.element_rates import Declared, element_rates
 from taichi_sim.analysis.methods import (
     BUILT_IN_METHODS,
     EXPLICIT_EULER,
@@ -97,7 +97,7 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>44}"
     stiff = ", ".join(map(str, STIFF))
     if explicit:
-        yield f"{stiff}: springs do not limit the step; what a method takes explicitly does, see docs/physics.md"
+        yield f"{stiff}: {_limited(scene, custom)}, see docs/physics.md"
     else:
         yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
     if sim.undeclared_forces:
@@ -105,6 +105,12 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"The step that {names} needs is unknown; declare stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
+
+
+def _limited(scene: Scene, custom: Declared) -> str:
+    """Sentence on what limits the steps of stiff methods, some of which have a limit."""
+    some = [method.name for method in STIFF if not np.isinf(stability(scene, method, None, custom).dt_any_shape)]
+    return f"springs limit none of their steps; what is taken explicitly limits {' and '.join(some)}"
 
 
 def _seconds(value: float) -> str:

@@ -119,7 +119,8 @@ def cloth(
         damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is; of triangles, force
             per width and rate of strain along the warp [N s/m].
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
-        break_strain: of all springs, at which each tears for good [1], see Scene.add_springs; never by default.
+        break_strain: of all springs, at which each tears for good [1], see Scene.add_springs; never by default. The
+            edges of triangles then carry springs of zero stiffness, which only tear.
         surface_collision: nothing goes through its triangles, itself and other such surfaces included, see Scene.add_triangles.
         up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """

@@ -110,6 +110,7 @@ def jelly(
             the package pytetwild, which takes closed meshes alone and, each time, other points. Tetrahedra are made of springs
             and cells, at ratios from 1/4 on.
         damping: of each spring [N s/m]. In a material the viscosity that springs of such damping along all edges would give.
+            A tenth of the critical damping of two neighbouring balls by default.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
         radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
@@ -337,9 +338,11 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Boxes,
     shape = tuple(int(n) for n in number)
     low = low - 0.5 * (number * step - extent)
     filled = jelly_material.connected(jelly_material.inside(surface, low, step, shape))
+    wrong = meshes.flaws(surface)
+    if not filled.any() and wrong:
+        raise SceneError("jelly.mesh", says=f"encloses nothing that could be filled: {'; '.join(wrong)}. Mend it")
     if not filled.any():
         raise SceneError("jelly.spacing", step, "less; no box of that size fits into the mesh")
-    wrong = meshes.flaws(surface)
     if wrong:
         part = float(filled.sum()) * step**3
         warnings.warn(

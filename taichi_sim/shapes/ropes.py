@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -29,6 +30,7 @@ from taichi_sim.shapes.base import (
 __all__ = ["rope", "wheel"]
 
 ROPE_DENSITY = 0.1  # kg/m
+NARROWEST = 1e-3  # of the length between the ends, sideways, from which more balls make a fold
 FIRMNESS = (
     1000 * 10.0
 )  # m/s^2, stretch stiffness for each kg: a rope that hangs straight down is a thousandth longer at its top
@@ -150,12 +152,11 @@ def _hanging(a: NDArray, b: NDArray, length: float, number: int, gravity: NDArra
     side = b - a - drop * down
     span = float(np.linalg.norm(side))
     if number == 2 or span < piece:
-        raise SceneError(
-            "rope.length",
-            length,
-            says=f"makes a fold narrower than a piece of {piece:.3g} m, where start and end are {span:.3g} m apart sideways; give"
-            " more balls (n), or ends that are further apart sideways",
+        more = f" n = {math.ceil(length / span) + 1} balls or more, or" if span > NARROWEST * length else ""
+        says = (
+            f"makes a fold narrower than a piece of {piece:.3g} m, where start and end are {span:.3g} m apart sideways"
         )
+        raise SceneError("rope.length", length, says=f"{says}; give{more} ends that are further apart sideways")
     sideways, downward = _directions(span / piece, drop / piece, number - 1)
     steps = piece * (sideways[:, None] * side / span + downward[:, None] * down)
     return np.concatenate([a[None], a + np.cumsum(steps[:-1], axis=0), b[None]])

@@ -1,5 +1,7 @@
 """Bodies that elements join, in an implicit stage."""
 
+import warnings
+
 import numpy as np
 import pytest
 from physics_support import F64, simulate
@@ -62,3 +64,14 @@ def test_elements_join_their_free_balls_whichever_is_pinned():
     assert np.diff(start).tolist()[:8] == [0, 1, 0, 1, 0, 2, 0, 0]
     assert corner["ball"].tolist() == [0, 0, 0, 6]
     assert corner["entry"].tolist() == [0, 1, 2, 0]
+
+
+def test_compiling_says_nothing(capfd):
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    ts.shapes.cloth(scene, (0.5, 0.4), (9, 7), position=(-0.25, 0.32, -0.2), damping=1e-3, warp=400.0, **FABRIC)
+    scene.add_collider(ts.Sphere(center=(0.0, 0.2, 0.0), radius=0.1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with simulate(scene, integrator="implicit_euler", dt=0.01) as sim:
+            sim.step(2)
+    assert capfd.readouterr() == ("", "")

@@ -344,15 +344,29 @@ def test_summary():
         assert word in text
 
 
+@pytest.mark.parametrize(
+    ("off", "said"), [(1e-17, "0.2 J (exact to rounding)"), (0.004, "0.200 +- 0.004 J (step and rounding)")]
+)
+def test_the_energies_of_the_summary_have_one_unit(off, said):
+    energies = {"energy_start": (0.0, 0.0, 0.3, 0.3), "energy_end": (0.0, 0.0, 0.2, 0.2)}
+    lines = Summary(**energies, step_error=StepError(5e-4, energy=off)).lines()
+    assert f"energy       0.3 J at the start, {said} at the end (kinetic 0, spring 0, gravity 0.2)" in lines
+
+
 def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
     known = {"load.magnitude": (1e-17, 1e-17, 1e-17), "b.x": (0.0, 0.0, 0.0), "c.x": (0.01, 0.01, 0.01)}
+    known["d.x"] = (0.01, 0.0, 0.01)
     off = StepError(5e-4, probes=known)
-    read = {"load.magnitude": (9.0, 8.0, 9.5), "b.x": (2.0, 2.0, 2.0), "c.x": (1.0, 0.5, 2.0)}
-    lines = Summary(probes=read, units={"load.magnitude": "N", "b.x": "m", "c.x": "m"}, step_error=off).lines()
+    read = {"load.magnitude": (9.0, 8.0, 9.5), "b.x": (2.0, 2.0, 2.0), "c.x": (1.0, 0.5, 2.0), "d.x": (1.0, 0.5, 2.0)}
+    lines = Summary(
+        probes=read, units={"load.magnitude": "N", "b.x": "m", "c.x": "m", "d.x": "m"}, step_error=off
+    ).lines()
     for line in (
         "load.magnitude 9.00 N in the last frame; least 8.00 N, peak 9.50 N of all frames (exact to rounding)",
         "b.x            2.00 m in all frames (exact to rounding)",
         "c.x            1.000 +- 0.010 m in the last frame; least 0.500 +- 0.010 m, peak 2.000 +- 0.010 m of all frames"
+        " (step and rounding)",
+        "d.x            1.000 +- 0.010 m in the last frame; least 0.5 m (exact to rounding), peak 2.000 +- 0.010 m of all frames"
         " (step and rounding)",
     ):
         assert line in lines

@@ -301,3 +301,10 @@ def test_a_mesh_filled_with_tetrahedra(tmp_path, monkeypatch):
     skin = scene.embedded_surfaces[0]
     assert np.einsum("sk,ski->si", skin.weights, scene.position[skin.corners]) == pytest.approx(ball.vertices, abs=1e-9)
     assert not list(tmp_path.iterdir())  # fTetWild writes a file where it runs
+
+
+def test_an_open_mesh_without_an_inside_is_not_blamed_on_the_spacing():
+    corners = np.array([(0, 0, 0), (2, 0, 0), (2, 0, 2), (0, 0, 2), (0, 1, 0), (2, 1, 0)], dtype=float)
+    two_sides = (corners, np.array([(0, 1, 2), (0, 2, 3), (0, 5, 1), (0, 4, 5)]))
+    with pytest.raises(SceneError, match=r"jelly\.mesh: encloses nothing .*: 6 edges have a triangle on one side only"):
+        shapes.jelly(Scene(dim=3), mesh=two_sides, spacing=0.3)

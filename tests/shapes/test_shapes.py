@@ -468,3 +468,12 @@ def test_color_is_colour():
     assert scene.colour[[balls[0], 3]].tolist() == [[1, 0, 0], [0, 1, 0]]
     with pytest.raises(TypeError, match="got colour and color"):
         shapes.cloth(scene, colour=(1, 0, 0), color=(1, 0, 0))
+
+
+def test_a_narrow_fold_of_rope_says_how_many_balls_help():
+    scene = Scene(dim=2, gravity=(0, -9.81))
+    with pytest.raises(SceneError, match=r"0 m apart sideways; give ends that are further apart sideways$"):
+        shapes.rope(scene, (1, 3), (1, 2), 12, length=2.5)
+    with pytest.raises(SceneError, match=r"give n = 51 balls or more, or ends"):
+        shapes.rope(scene, (1, 3), (1.05, 2), 12, length=2.5)
+    shapes.rope(scene, (1, 3), (1.05, 2), 52, length=2.5)
