@@ -110,7 +110,13 @@ class Length(Probe):
     def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> Probe:
         one = _only_one(cls.kind, asked)
         if not scene.n_springs:
-            raise SceneError(f"probes.{one}", says="the scene has no spring yet; add the probe after the springs")
+            made = [what for what, parts in (("triangles", scene.membranes), ("bricks", scene.bricks)) if len(parts)]
+            says = "the scene has no spring yet; add the probe after the springs"
+            if made:
+                says = (
+                    f"the scene is made of {' and '.join(made)}, which are no springs; a {cls.kind} is that of a spring"
+                )
+            raise SceneError(f"probes.{one}", says=says)
         if one == "at":
             away = scene.position[scene.pairs].mean(axis=1) - validation.vector("probes.at", asked["at"], scene.dim)
             return cls(name, {"spring": int(np.argmin(np.sum(away**2, axis=1)))})

@@ -377,6 +377,17 @@ def test_numbers_are_named_once():
             scene.add_probe("p", kind, **given)
 
 
+def test_a_tension_of_a_body_without_springs_is_refused():
+    for what, add in (
+        ("bricks", lambda s: ts.shapes.jelly(s, (1, 1, 1), (2, 2, 2), young_modulus=1e4)),
+        ("triangles", lambda s: ts.shapes.cloth(s, (1, 1), (2, 2), warp=50.0)),
+    ):
+        scene = ts.Scene(dim=3)
+        add(scene)
+        with pytest.raises(SceneError, match=rf"probes\.at: the scene is made of {what}, which are no springs"):
+            scene.add_probe("load", "tension", at=(0, 0, 0))
+
+
 @pytest.mark.parametrize("fps", [120, 70])
 def test_a_mean_force_comes_with_the_interval_of_its_mean(fps):
     """Frames are whole steps apart, 8 or 9 ms at 120 a second: the impulse is force times that, not over fps."""
