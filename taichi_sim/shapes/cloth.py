@@ -138,7 +138,7 @@ def cloth(
         )
         density = solid.pop("density")
         sheet |= solid
-        if mass is None and mass_per_area is None and None not in (density, thickness):
+        if mass is None and mass_per_area is None and density is not None and thickness is not None:
             woven["mass_per_area"] = density * validation.number("cloth.thickness", thickness, positive=True)
     weave, woven["bending_rigidity"] = _weave(
         {"warp": warp, "weft": weft, "shear": shear, "coupling": coupling, "warp_angle": warp_angle},
