@@ -15,6 +15,7 @@ from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.strains import cut
 
 __all__ = [
     "Energy",
@@ -90,15 +91,6 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
         whole = ~cut(np.asarray(force.balls), torn, scene.n_balls)
         return float(np.sum(np.asarray(force.energies(x))[whole]))
     return float(force.energy(x, v)) if hasattr(force, "energy") else 0.0
-
-
-def cut(triangles: NDArray, torn: NDArray, n: int) -> NDArray[np.bool_]:
-    """Mask (t,) of the triangles (t, 3), or elements (t, more), of n balls that hold both balls of one of the pairs (k, 2)."""
-    k = triangles.shape[1]
-    sides = np.sort(triangles[:, [[a, b] for b in range(k) for a in range(b)]].astype(np.int64), axis=2)
-    pairs = np.sort(torn.astype(np.int64), axis=1)
-    gone = np.isin(sides[..., 0] * n + sides[..., 1], pairs[:, 0] * n + pairs[:, 1])
-    return np.asarray(gone.any(axis=1))
 
 
 def torn_open(scene: Scene, position: NDArray, torn: NDArray[np.bool_]) -> NDArray[np.bool_]:

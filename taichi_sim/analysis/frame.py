@@ -96,6 +96,10 @@ class Frame:
     contacts: Contacts | None = None  # what `Simulation.contacts` said; only exports ask
     probes: Mapping[str, float] = field(default_factory=dict)  # what `Simulation.probes` said; the same
 
+    def strains(self) -> "list[tuple[Ints, Floats]]":
+        """Balls (e, k) and strains (e,) [1] of springs, where they are known, and of triangles and bricks, see scene.strains."""
+        return [(self.springs, self.strain)] if len(self.strain) == len(self.springs) else []
+
     @property
     def dim(self) -> int:
         """2 or 3."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.strains import element_strains
 
 __all__ = ["Moment", "MomentsOf"]
 
@@ -51,6 +52,10 @@ class Moment(Frame):
     @strain.setter
     def strain(self, value: Any) -> None:
         self._strain = value
+
+    def strains(self) -> Any:
+        """Those of springs, triangles and bricks."""
+        return [*super().strains(), *element_strains(self.scene, self.position, self.torn)]
 
 
 class MomentsOf:

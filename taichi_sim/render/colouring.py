@@ -40,8 +40,8 @@ FULL_STRAIN = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Colouring:
-    """quantity: "strain" (the mean of the absolute strains of a ball's springs) or "speed" [m/s]; low, high: the values that
-    get the first and the last colour. Beyond them the colour stays."""
+    """quantity: "strain" (the mean of the absolute strains of a ball's springs, triangles and bricks) or "speed" [m/s]; low,
+    high: the values that get the first and the last colour. Beyond them the colour stays."""
 
     quantity: str
     low: float
@@ -76,10 +76,11 @@ class Colouring:
         if self.quantity == "speed":
             value = np.sqrt(np.einsum("nd,nd->n", frame.velocity, frame.velocity))
         else:
-            ends = frame.springs.ravel()
-            springs = np.bincount(ends, minlength=n)
-            strain = np.abs(frame.strain) if len(frame.strain) == len(frame.springs) else np.zeros(len(frame.springs))
-            value = np.bincount(ends, np.repeat(strain, 2), minlength=n) / np.maximum(springs, 1)
+            value, many = np.zeros(n), np.zeros(n)
+            for balls, strain in frame.strains():
+                value += np.bincount(balls.ravel(), np.repeat(np.abs(strain), balls.shape[1]), minlength=n)
+                many += np.bincount(balls.ravel(), minlength=n)
+            value /= np.maximum(many, 1)
         return np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0)
 
     @staticmethod

@@ -113,6 +113,10 @@ class _Bricks(Columns, Element):
     assumed: ClassVar = {"viscosity": 0.0}
     features: ClassVar = {"viscosity of bricks": lambda scene: np.any(scene.brick_viscosity > 0)}
 
+    def gradients(self, scene: Any, x: Floats) -> Floats:
+        """Deformation gradients (b, dim, dim) [1] at the centres, at x (n, dim) [m]."""
+        return _patterns(x[scene.bricks], scene.brick_size)[0]
+
     def energies(self, scene: Any, x: Floats, whole: NDArray[np.bool_]) -> list[float]:
         return [float(np.sum(self.stored(scene, x[scene.bricks])[whole]))]
 

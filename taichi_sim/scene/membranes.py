@@ -127,9 +127,12 @@ class _Membranes(Columns, Element):
     is_implicit = True
     features: ClassVar = {"damping of membranes": lambda scene: np.any(scene.membrane_damping > 0)}
 
+    def gradients(self, scene: Any, x: Floats) -> Floats:
+        """Deformation gradients (t, 3, 2) [1] at x (n, 3) [m]."""
+        return np.einsum("tki,tka->tia", x[scene.membranes], shape_gradients(scene.membrane_rest)[0])
+
     def energies(self, scene: Any, x: Floats, whole: NDArray[np.bool_]) -> list[float]:
-        gradient, area = shape_gradients(scene.membrane_rest)
-        f = np.einsum("tki,tka->tia", x[scene.membranes], gradient)
+        f, area = self.gradients(scene, x), shape_gradients(scene.membrane_rest)[1]
         e = 0.5 * (np.einsum("tia,tib->tab", f, f) - np.eye(2))
         u, v, uv = e[:, 0, 0], e[:, 1, 1], e[:, 0, 1]
         stored = 0.5 * (scene.membrane_warp * u * u + scene.membrane_weft * v * v)

@@ -126,11 +126,11 @@ PRESETS: dict[str, Preset] = {
     ),
     "glass": Preset(
         "friction and restitution of beads of 3 mm: Foerster, Louge, Chang, Allia 1994, Measurements of the collision properties"
-        f" of small spheres; {_ASHBY}, soda-lime glass, whose ratio of 0.22 is taken as 0.25, the least that springs have",
+        f" of small spheres; {_ASHBY}, soda-lime glass",
         *(0.97, 0.092),
         density=2500.0,
         young_modulus=7e10,
-        poisson_ratio=0.25,
+        poisson_ratio=0.22,
     ),
     "sand": Preset(
         "density of quartz; friction between grains of 26 degrees: Rowe 1962, The stress-dilatancy relation; restitution"

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Names
+from taichi_sim.scene.strains import element_strains
 
 __all__ = ["KINDS", "Probe", "ProbeSample", "Probed", "add", "bodies_of"]
 
@@ -110,7 +111,13 @@ class Length(Probe):
     def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> Probe:
         one = _only_one(cls.kind, asked)
         if not scene.n_springs:
-            raise SceneError(f"probes.{one}", says="the scene has no spring yet; add the probe after the springs")
+            made = [what for what, parts in (("triangles", scene.membranes), ("bricks", scene.bricks)) if len(parts)]
+            says = "the scene has no spring yet; add the probe after the springs"
+            if made:
+                says = (
+                    f"the scene is made of {' and '.join(made)}, which are no springs; a {cls.kind} is that of a spring"
+                )
+            raise SceneError(f"probes.{one}", says=says)
         if one == "at":
             away = scene.position[scene.pairs].mean(axis=1) - validation.vector("probes.at", asked["at"], scene.dim)
             return cls(name, {"spring": int(np.argmin(np.sum(away**2, axis=1)))})
@@ -138,7 +145,8 @@ class Tension(Length):
 
 
 class Strain(Probe):
-    """(length - rest) / rest of springs that have a rest length and are whole: the largest, the least, the mean."""
+    """Strains of what is whole: (length - rest) / rest of springs that have a rest length, and of triangles and bricks the
+    principal strain that is largest in amount. The largest, the least, the mean."""
 
     kind, takes, units = "strain", ("springs", "balls"), {"max": "", "min": "", "mean": ""}
 
@@ -148,22 +156,27 @@ class Strain(Probe):
             return cls(name, {})
         if _only_one(cls.kind, asked) == "springs":
             return cls(name, {"springs": _several("spring", asked["springs"], scene.n_springs)})
-        inside = np.isin(scene.pairs, _balls(scene, asked["balls"])).all(axis=1)
-        if not inside.any():
-            raise SceneError("probes.balls", says="no spring joins two of them; there is no strain to measure")
-        return cls(name, {"springs": np.flatnonzero(inside).astype(np.int32)})
+        balls = _balls(scene, asked["balls"])
+        if not any(np.isin(k, balls).all(axis=1).any() for k in (scene.pairs, scene.membranes, scene.bricks)):
+            says = "no spring, triangle or brick lies between them; there is no strain to measure"
+            raise SceneError("probes.balls", says=says)
+        return cls(name, {"balls": balls})
 
     def read(self, sample: ProbeSample) -> dict[str, float]:
-        scene = sample.scene
+        scene, balls = sample.scene, self.given.get("balls")
         counts = scene.rest_length > 0
         if sample.torn is not None:
             counts &= ~sample.torn
         chosen = self.given.get("springs", np.arange(scene.n_springs))
         chosen = chosen[counts[chosen]]
-        if not len(chosen):
-            return dict.fromkeys(self.units, np.nan)
         i, j = scene.pairs[chosen].T
-        strain = np.linalg.norm(sample.x[j] - sample.x[i], axis=1) / scene.rest_length[chosen] - 1.0
+        stretch = np.linalg.norm(sample.x[j] - sample.x[i], axis=1) / scene.rest_length[chosen] - 1.0
+        parts = [(scene.pairs[chosen], stretch)]
+        if "springs" not in self.given:
+            parts += element_strains(scene, sample.x, sample.torn)
+        strain = np.concatenate([one if balls is None else one[np.isin(k, balls).all(axis=1)] for k, one in parts])
+        if not len(strain):
+            return dict.fromkeys(self.units, np.nan)
         return {"max": float(strain.max()), "min": float(strain.min()), "mean": float(strain.mean())}
 
 
@@ -338,7 +351,8 @@ class Probed:
                 "position" of `balls`, their mean, or of the ball nearest to the point `at` [m] now: x, y, z, magnitude [m].
                 "length" [m] and "tension" [N] of `spring`, or of that whose middle is nearest to `at`. The tension is the force
                 that it carries, k (L - L0) + c dL/dt: elastic and damping force, positive where it pulls; 0 once torn.
-                "strain" of `springs`, of those between `balls`, or of all: max, min, mean of (L - L0) / L0.
+                "strain" of `springs`, or of all springs, triangles and bricks between `balls` or in the scene: max, min, mean.
+                That of a spring is (L - L0) / L0, of the others the largest principal strain in amount, of a brick at its centre.
                 "energy" of the whole scene: kinetic, spring, gravity, total [J].
                 "force" [N] on `wall` or `collider`, the mean since the probe was last read, and "impulse" [N s], since the start:
                 x, y, z, magnitude of what balls gave it by pressing, hitting and friction.

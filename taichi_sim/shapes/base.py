@@ -192,16 +192,14 @@ def with_preset(
 ) -> dict[str, float | None]:
     """The arguments, with what is not given taken from the preset that the material names, if it does; but: those it leaves.
 
-    In 2D a body stands for a slab: its density and modulus are those of the solid times the thickness, and Poisson's ratio is at
-    least that of springs.
+    In 2D a body stands for a slab: its density and modulus are those of the solid times the thickness.
     """
     preset = scene.preset(material)
     if preset is None:
         return given
     known = {name: getattr(preset, name) for name in given if name not in but}
-    if scene.dim == 2 and "poisson_ratio" in known:
+    if scene.dim == 2:
         known |= {name: known[name] and SLAB * known[name] for name in ("density", "young_modulus") if name in known}
-        known["poisson_ratio"] = known["poisson_ratio"] and max(known["poisson_ratio"], 1 / 3)
     return {name: known.get(name) if value is None else value for name, value in given.items()}
 
 

@@ -45,6 +45,7 @@ SHEAR_SHARE = 0.5  # of a cloth's stiffness, in its diagonals
 STRETCH_STIFFNESS = 100.0  # N/m: 2 % at the top of a cotton sheet that hangs 1 m
 SHEAR_PART = 0.2  # of the stretch stiffness
 BENDING_RIGIDITY = 1e-5  # N m, cotton
+SIGNED = ("coupling", "warp_angle")
 BENDING_SHARE = 0.002  # of a stiffness that is stable at 1 ms: the default bending is no more, and stable at 16 ms
 
 
@@ -66,7 +67,7 @@ def cloth(
     weft: float | None = None,
     shear: float | None = None,
     coupling: float | None = None,
-    warp_angle: float = 0.0,
+    warp_angle: float | None = None,
     young_modulus: float | None = None,
     poisson_ratio: float | None = None,
     thickness: float | None = None,
@@ -113,9 +114,9 @@ def cloth(
             as a triangle allows (along z where it faces x); weft: the same across it, the warp's by default [N/m]; coupling:
             force along one by strain along the other [N/m], 0; shear: force per width and angle of shear [N/m], a fifth of the
             warp.
-        warp_angle: of the warp, from x toward z [degrees].
-        young_modulus: of a sheet of triangles that is alike in all directions [Pa]; thickness: of it [m];
-            poisson_ratio: of it, 0.3 by default [1].
+        warp_angle: of the warp, from x toward z [degrees]; 0.
+        young_modulus: of a sheet of triangles that is alike in all directions [Pa]; thickness: of it [m], which times the
+            density of a preset is its mass per area; poisson_ratio: of it, 0.3 by default [1].
         damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is; of triangles, force
             per width and rate of strain along the warp [N s/m].
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
@@ -132,9 +133,18 @@ def cloth(
         "shear_stiffness": shear_stiffness,
         "bending_rigidity": bending_rigidity,
     }
+    sheet = {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "thickness": thickness}
+    if any(value is not None for value in sheet.values()):
+        solid = with_preset(
+            scene, material, {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "density": None}
+        )
+        density = solid.pop("density")
+        sheet |= solid
+        if mass is None and mass_per_area is None and density is not None and thickness is not None:
+            woven["mass_per_area"] = density * validation.number("cloth.thickness", thickness, positive=True)
     weave, woven["bending_rigidity"] = _weave(
-        {"warp": warp, "weft": weft, "shear": shear, "coupling": coupling},
-        {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "thickness": thickness},
+        {"warp": warp, "weft": weft, "shear": shear, "coupling": coupling, "warp_angle": warp_angle},
+        sheet,
         {"stretch_stiffness": stretch_stiffness, "shear_stiffness": shear_stiffness, "stiffness": stiffness,
          "bending_stiffness": bending_stiffness},
         bending_rigidity,
@@ -178,7 +188,7 @@ def cloth(
             or_default("cloth.mass_per_area", woven["mass_per_area"], total / area), max(weave.warp, weave.weft), 0.0,
             at_least_0("cloth.bending_rigidity", woven["bending_rigidity"], BENDING_RIGIDITY),
         )  # fmt: skip
-        angle = np.radians(validation.number("cloth.warp_angle", warp_angle))
+        angle = 0.0 if warp_angle is None else np.radians(validation.number("cloth.warp_angle", warp_angle))
         whole = meshes.Surface(surface.vertices * factor, surface.triangles)
         parts = cloth_material.of_triangles(whole, None if grid is None else (grid[1], grid[2] * factor), made)
         rest = cloth_material.along_warp(whole, angle)
@@ -227,10 +237,10 @@ def _weave(
     """Stiffness of triangles, None where there are none, and the bending rigidity [N m] that goes with it."""
     exclusive("cloth", threads, sheet)
     exclusive("cloth", threads | sheet, springs)
-    given = {name: at_least_0(f"cloth.{name}", value) for name, value in threads.items() if name != "coupling"}
+    given = {name: at_least_0(f"cloth.{name}", value) for name, value in threads.items() if name not in SIGNED}
     if any(value is not None for value in threads.values()):
         if given["warp"] is None:
-            raise SceneError("cloth.warp", says="is missing; weft, shear and coupling go with it")
+            raise SceneError("cloth.warp", says="is missing; weft, shear, coupling and warp_angle go with it")
         weft = given["weft"] if given["weft"] is not None else given["warp"]
         shear = given["shear"] if given["shear"] is not None else SHEAR_PART * given["warp"]
         coupling = threads["coupling"]

@@ -5,11 +5,13 @@ import pytest
 from physics_support import PRECISION
 
 import taichi_sim as ts
+from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.plain import plain
 from taichi_sim.common.quantities import measures, plain_number
 from taichi_sim.outputs import export, open_output
+from taichi_sim.render.colouring import Colouring
 from taichi_sim.scene.probes import KINDS, ProbeSample
 
 pytestmark = pytest.mark.long_in("f32")
@@ -375,6 +377,62 @@ def test_numbers_are_named_once():
     ):
         with pytest.raises(SceneError, match=words):
             scene.add_probe("p", kind, **given)
+
+
+def stretched():
+    """A sheet of triangles, a block of bricks and a spring, each far apart, and where a known stretch puts their balls."""
+    scene = ts.Scene(dim=3)
+    sheet = ts.shapes.cloth(scene, (1.0, 0.7), (3, 4), warp=50.0, weft=20.0)
+    block = ts.shapes.jelly(scene, (0.6, 0.8, 1.0), (3, 2, 3), young_modulus=1e4, position=(5, 0, 0))
+    pair = scene.add_balls([[9, 0, 0], [9, 0, 2]], radius=0.1)
+    scene.add_springs([pair], stiffness=1.0)
+    x = scene.position.copy()
+    x[sheet.balls] *= [1.05, 1.0, 0.98]
+    x[block.balls] *= [1.01, 0.9, 1.03]
+    x[pair] *= [1.0, 1.0, 1.2]
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))  # whatever is turned is not strained
+    return scene, (sheet.balls, block.balls, pair), x @ turn.T
+
+
+def test_strains_of_triangles_and_bricks():
+    scene, bodies, x = stretched()
+    for k, balls in enumerate(bodies):
+        scene.add_probe(f"s{k}", "strain", balls=balls)
+    scene.add_probe("all", "strain")
+    scene.add_probe("spring", "strain", springs=[0])
+    sample = ProbeSample(scene, x, np.zeros_like(x), None, lambda: (0.0,) * 4, np.zeros((0, 3)))
+    read = [list(probe.read(sample).values()) for probe in scene.probes]
+    for found, strain in zip(read[:3], (0.05, -0.1, 0.2), strict=True):
+        assert found == pytest.approx([strain] * 3)
+    assert read[3][:2] == pytest.approx([0.2, -0.1])
+    assert read[4] == pytest.approx([0.2] * 3)
+    frame = MomentsOf(scene).at(0.0, x, np.zeros_like(x), np.zeros((len(x), 3)), None)
+    shown = Colouring.of(frame, "strain", (0.0, 1.0)).values(frame)
+    for balls, strain in zip(bodies, (0.05, 0.1, 0.2), strict=True):
+        assert shown[balls] == pytest.approx(strain)
+    with pytest.raises(SceneError, match="no spring, triangle or brick lies between them"):
+        scene.add_probe("none", "strain", balls=[0, len(x) - 1])
+
+
+def test_what_has_torn_has_no_strain():
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, (1.0, 1.0), (2, 2), warp=50.0, break_strain=0.5)
+    scene.add_probe("all", "strain")
+    x = 1.1 * scene.position
+    sample = ProbeSample(scene, x, x, np.ones(scene.n_springs, dtype=bool), lambda: (0.0,) * 4, np.zeros((0, 3)))
+    assert np.isnan(scene.probes[0].read(sample)["max"])
+
+
+def test_a_tension_of_a_body_without_springs_is_refused():
+    for what, add in (
+        ("bricks", lambda s: ts.shapes.jelly(s, (1, 1, 1), (2, 2, 2), young_modulus=1e4)),
+        ("triangles", lambda s: ts.shapes.cloth(s, (1, 1), (2, 2), warp=50.0)),
+    ):
+        scene = ts.Scene(dim=3)
+        add(scene)
+        with pytest.raises(SceneError, match=rf"probes\.at: the scene is made of {what}, which are no springs"):
+            scene.add_probe("load", "tension", at=(0, 0, 0))
 
 
 @pytest.mark.parametrize("fps", [120, 70])

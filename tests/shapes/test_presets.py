@@ -97,6 +97,47 @@ def test_what_is_given_goes_before_the_preset():
     assert scene.mass[body.balls].sum() == pytest.approx(500.0)
 
 
+def test_a_sheet_of_triangles_weighs_density_times_thickness():
+    def made(**options):
+        scene = ts.Scene(dim=3)
+        ts.shapes.cloth(scene, (2.0, 0.5), (4, 3), **options)
+        return scene
+
+    rubber, steel = PRESETS["rubber"], PRESETS["steel"]
+    thick = made(material="rubber", young_modulus=3e6, thickness=4e-3)
+    assert thick.mass.sum() == pytest.approx(rubber.density * 4e-3)
+    alone = made(material="rubber", thickness=2e-3)
+    assert alone.mass.sum() == pytest.approx(rubber.density * 2e-3)
+    assert alone.membrane_warp == pytest.approx(rubber.young_modulus * 2e-3 / (1 - rubber.poisson_ratio**2))
+    assert made(material="steel", thickness=5e-4).mass.sum() == pytest.approx(steel.density * 5e-4)
+    # what is given goes before that, and cotton has no density, but a mass per area
+    assert made(material="steel", thickness=5e-4, mass=0.3).mass.sum() == pytest.approx(0.3)
+    assert made(material="steel", thickness=5e-4, mass_per_area=0.7).mass.sum() == pytest.approx(0.7)
+    cotton = made(material="cotton", young_modulus=1e6, thickness=3e-3)
+    assert cotton.mass.sum() == pytest.approx(PRESETS["cotton"].mass_per_area)
+    with pytest.raises(ts.SceneError, match=r"cloth\.thickness: is missing"):
+        made(material="rubber", young_modulus=1e6)
+
+
+@pytest.mark.parametrize("key", ["weft", "shear", "coupling", "warp_angle", "poisson_ratio", "thickness"])
+def test_a_key_of_triangles_alone_is_refused(key):
+    with pytest.raises(ts.SceneError, match=r"cloth\.\w+: is missing; "):
+        ts.shapes.cloth(ts.Scene(dim=3), (1, 1), (3, 3), **{key: 0.3})
+
+
+def test_the_warp_of_a_sheet_that_is_alike_in_all_directions_has_no_angle():
+    with pytest.raises(ts.SceneError, match=r"cloth\.warp_angle: does not go with young_modulus"):
+        ts.shapes.cloth(ts.Scene(dim=3), (1, 1), (3, 3), young_modulus=1e6, thickness=1e-3, warp_angle=30.0)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_jelly_has_the_ratio_of_its_preset(dim):
+    scene = ts.Scene(dim=dim)
+    for name in ("glass", "wood", "gelatine"):
+        ts.shapes.jelly(scene, (1.0,) * dim, (2,) * dim, material=name)
+    assert scene.brick_ratio == pytest.approx([0.22, 0.3, 0.49])
+
+
 def test_a_material_of_the_scene_goes_before_a_preset():
     scene = ts.Scene(dim=3)
     scene.add_material("cotton", friction=0.9)
