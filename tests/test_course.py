@@ -100,7 +100,8 @@ def test_the_course_goes_on_in_a_folder_that_a_killed_run_left(tmp_path, monkeyp
     from taichi_sim.reports import course
 
     with monkeypatch.context() as killed:
-        killed.setattr(course, "_page", lambda text, pages=iter(("page",)): next(pages))  # ends before the second
+        pages = iter(["page"])
+        killed.setattr(course, "_page", lambda text: next(pages))  # ends before the second
         with pytest.raises(StopIteration):
             course.write(str(tmp_path))
     assert not (tmp_path / "index.html").exists()

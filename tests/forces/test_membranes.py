@@ -182,7 +182,7 @@ def test_scene_files_and_copies_hold_them(tmp_path):
         ({"warp": 1.0, "stretch_stiffness": 1.0}, r"cloth\.warp: does not go with stretch_stiffness"),
         ({"young_modulus": 1e6}, r"cloth\.thickness: is missing"),
         ({"young_modulus": 1e6, "warp": 1.0}, r"cloth\.warp: does not go with young_modulus"),
-        ({"warp": 4.0, "weft": 1.0, "coupling": 2.1}, r"membranes\.coupling\[0\]"),
+        ({"warp": 4.0, "weft": 1.0, "coupling": 2.1}, r"cloth\.coupling: 2\.1"),
     ],
 )
 def test_refusals(given, message):
@@ -190,3 +190,11 @@ def test_refusals(given, message):
     with pytest.raises(ts.SceneError, match=message):
         ts.shapes.cloth(scene, (1.0, 1.0), (3, 3), **given)
     assert scene.n_balls == 0
+
+
+@pytest.mark.once
+def test_too_much_coupling_names_its_triangle():
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]], radius=0.1)
+    with pytest.raises(ts.SceneError, match=r"^membranes\.coupling\[1\]: -3\.5 .* at most 3,"):
+        scene.add_membranes([[0, 2, 1], [1, 2, 3]], warp=9.0, weft=1.0, shear=1.0, coupling=[2.9, -3.5])
