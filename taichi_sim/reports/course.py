@@ -20,8 +20,10 @@ __all__ = ["formula", "show", "write"]
 
 START, RECORD = "index.html", "course.txt"
 OWN = """
-body { max-width: 48rem } img { max-width: 100%; background: #fff; border-radius: 6px } pre { overflow-x: auto; padding: .8rem;
-  background: var(--soft); border-radius: 6px } th, td { white-space: normal; text-align: left }
+body { max-width: 48rem } img { max-width: 100%; background: #fff; border-radius: 6px }
+pre { padding: .8rem; background: var(--soft); border-radius: 6px; font-size: .8rem;
+  white-space: pre-wrap; overflow-wrap: anywhere }
+th, td { white-space: normal; text-align: left }
 svg.formula { width: auto; height: auto } svg.formula path, svg.formula use, svg.formula rect { fill: currentColor; stroke: none }
 """
 
@@ -35,12 +37,14 @@ def write(out: str | None = None) -> Path:
     require_own(folder, RECORD)
     folder.mkdir(exist_ok=True)
     with replacing(folder / RECORD) as record:
-        record.write(b"The course of taichi_sim, which is written here anew each time.\n")
-    for file in sorted(source.iterdir()):
-        if file.suffix == ".md":
-            with replacing(folder / f"{file.stem}.html") as page:
-                page.write(_page(file.read_text(encoding="utf-8")).encode())
-        elif file.suffix in (".webp", ".png"):
+        record.write(b"The course of taichi_sim, which is written here again each time.\n")
+    files = sorted(source.iterdir())
+    texts = {file.stem: file.read_text(encoding="utf-8") for file in files if file.suffix == ".md"}
+    for name, text in texts.items():
+        with replacing(folder / f"{name}.html") as page:
+            page.write(_page(text, _ways(name, texts)).encode())
+    for file in files:
+        if file.suffix in (".webp", ".png"):
             with replacing(folder / file.name) as picture:
                 picture.write(file.read_bytes())
     return folder / START
@@ -64,18 +68,36 @@ def formula(source: str) -> str:
     return paths.replace("<svg ", f'<svg role="img" aria-label="{escape(source)}" class="formula" ', 1).strip()
 
 
-def _page(text: str) -> str:
+def _title(text: str) -> str:
+    return text.split("\n", 1)[0].lstrip("# ")
+
+
+def _ways(name: str, texts: dict[str, str]) -> str:
+    """Links from a page, of texts by name, to the chapter before, to the contents and to the next chapter."""
+    if name == "index":
+        return ""
+    chapters = sorted(set(texts) - {"index"})
+    at = chapters.index(name)
+    ways = [
+        f'<a href="{one}.html" rel="prev">{escape(_title(texts[one]))}</a>' for one in chapters[max(0, at - 1) : at]
+    ]
+    ways.append(f'<a href="{START}">Course</a>')
+    ways += [f'<a href="{one}.html" rel="next">{escape(_title(texts[one]))}</a>' for one in chapters[at + 1 : at + 2]]
+    return f"<p>{' | '.join(ways)}</p>\n"
+
+
+def _page(text: str, ways: str) -> str:
+    """The HTML of a chapter in Markdown; ways: links above and below it."""
     from markdown_it import MarkdownIt
 
     text = re.sub(r"```\{.*?```\n", "", text, flags=re.DOTALL)  # directives of the site
-    text = re.sub(r"(?<!!)\[([^\]]*)\]\(\.\./[^)]*\)", r"\1", text)  # pages that the package has not
+    text = re.sub(r"(?<!!)\[([^\]]*)\]\(\.\./([\w.]+)[^)]*\)", r"\1 (docs/\2)", text)  # pages that the package has not
     text = re.sub(r"\((\w+)\.md\)", r"(\1.html)", text)
     text = re.sub(r"\$\$(.*?)\$\$", lambda found: "".join(formula(found[1]).splitlines()), text, flags=re.DOTALL)
-    title = text.split("\n", 1)[0].lstrip("# ")
+    title = _title(text)
     body = MarkdownIt("commonmark", {"html": True}).enable("table").render(text)
-    back = "" if title == "Course" else f'<p><a href="{START}">Course</a></p>\n'
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>\n'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{OWN}</style></head><body>\n'
-        f"{back}{body}{back}</body></html>\n"
+        f"{ways}{body}{ways}</body></html>\n"
     )
