@@ -1,10 +1,10 @@
-"""Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; for methods of
-first order a third one at a quarter."""
+"""Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; where the order
+is 1, by the method or by contacts and tearing, a third one at a quarter."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
-from math import inf, nan
+from math import inf, nan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,8 +57,8 @@ class Companion:
 
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
     so that both runs enclose the scene as it is meant. Contacts, and forces that begin or end at some moment, make any method one
-    of first order. A method of first order takes large steps, at which its order may not be seen: a third run at a quarter of the
-    step shows it. No number is known better than to the rounding of its own size.
+    of first order. That order may not be seen, at the large steps of such methods, or where something happens within a step:
+    a third run at a quarter of the step shows it. No number is known better than to the rounding of its own size.
     """
 
     def __init__(self, simulation: Any) -> None:
@@ -76,22 +76,23 @@ class Companion:
         done and the simulated seconds."""
         half, single = simulation.dt / simulation.substeps / 2.0, simulation.backend.precision == "f32"
         free, order = ~simulation.scene.pinned, _order(simulation)
-        energy, third = simulation.energy(), simulation.settings.integrator.method.order == 1
+        energy = simulation.energy()
         runs = [_Run(simulation.position[free], energy.total, _by_name([probes for _, probes in self._readings]))]
         try:
             again, start = self._second(simulation)
             with again:
                 runs.append(self._repeat(again, free, advance))
-                if third:
+                if order == 1:
                     with _resumed(again.at_half_step(), start) as once_more:
                         runs.append(self._repeat(once_more, free, advance))
         except UnstableError as error:
             return StepError(half, why=str(error).split("; the last good")[0], rounded=single)
         digit = ROUNDING[simulation.backend.precision]
+        steps = max(1.0, (simulation.time - self._start.time) / half * 2.0)  # of the last run, each of which rounds
         offs = [np.linalg.norm(a.place - b.place, axis=1) for a, b in pairwise(runs)]
         place = digit * np.linalg.norm(runs[0].place, axis=1)
         rms, largest = (
-            _Judge([_rms(off) for off in offs], _rms(place), order),
+            _Judge([_rms(off) for off in offs], _rms(place) * sqrt(steps), order),
             [float(off.max(initial=0.0)) for off in offs],
         )
         energies = [abs(a.energy - b.energy) for a, b in pairwise(runs)]
@@ -100,8 +101,8 @@ class Companion:
             half,
             rms.error(rms.differences) + _rms(place),
             rms.error(largest) + float(place.max(initial=0.0)),
-            _Judge(energies, least_energy, order).error(energies) + least_energy,
-            {name: _off([run.probes[name] for run in runs], order, digit) for name in runs[0].probes},
+            _Judge(energies, least_energy * sqrt(steps), order).error(energies) + least_energy,
+            {name: _off([run.probes[name] for run in runs], order, digit, steps) for name in runs[0].probes},
             rounded=single,
             runs=len(runs),
         )
@@ -157,7 +158,8 @@ def _order(simulation: Any) -> float:
 
 
 class _Judge:
-    """Differences of successive runs over all of a quantity, and what they say of its order; rounding: that of the quantity."""
+    """Differences of successive runs over all of a quantity, and what they say of its order; rounding: that of the quantity, as a
+    walk of so many steps adds it up."""
 
     def __init__(self, differences: list[float], rounding: float, order: float) -> None:
         self.differences, self.order = differences, order
@@ -172,8 +174,9 @@ class _Judge:
         return error_of_three(differences[0], differences[1], self.order, self.ratio)
 
 
-def _off(runs: list[list[float]], order: float, digit: float) -> tuple[float, float, float]:
-    """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded.
+def _off(runs: list[list[float]], order: float, digit: float, steps: float = 1.0) -> tuple[float, float, float]:
+    """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded;
+    steps: of the last run.
 
     Differences that swing, and those of rounding, pass through 0: the last value is as wrong as the frames before it.
     """
@@ -184,7 +187,7 @@ def _off(runs: list[list[float]], order: float, digit: float) -> tuple[float, fl
     if not all(len(one) for one in apart):
         return nan, nan, nan
     values = [_summed_up(run) for run in runs]
-    judge = _Judge([_rms(one) for one in apart], digit * max(map(abs, values[0])), order)
+    judge = _Judge([_rms(one) for one in apart], digit * sqrt(steps) * max(map(abs, values[0])), order)
     ends = [near]
     for extreme in (np.nanargmin, np.nanargmax):
         # where runs have their extremes, the runs are as far apart as the extremes at least, and extremes may agree by luck

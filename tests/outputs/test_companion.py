@@ -116,6 +116,43 @@ def test_a_method_of_first_order_states_what_it_is_off_or_that_this_is_not_known
     assert known > 0.5 * 3 * stated.size
 
 
+@pytest.mark.parametrize("dt", [4e-3, 1e-3])
+def test_springs_that_tear_get_a_third_run(dt):
+    """Each tears somewhere within a step, and its weight falls from there. Two runs stated half of what many were off."""
+    reach = MASS * G / STIFFNESS * np.linspace(0.8, 1.6, WEIGHTS)
+    scene = weights()
+    scene.set_springs(np.arange(WEIGHTS), break_strain=reach / LENGTH)
+    scene.probes.clear()
+    for k in range(WEIGHTS):
+        scene.add_probe(f"w{k}", "position", balls=[WEIGHTS + k])
+    with ts.Simulation(scene, dt=dt, substeps=1, contacts="off") as sim:
+        summary = export(sim, None, fps=25, duration=0.6, error=True)
+        assert sim.torn.all()
+        end = sim.time
+    speed, most = np.sqrt(STIFFNESS / MASS), MASS * G / STIFFNESS
+    torn = np.arccos(1.0 - reach / most) / speed
+    fall = most * speed * np.sin(speed * torn) * (end - torn) + 0.5 * G * (end - torn) ** 2
+    off = np.array([summary.probes[f"w{k}.y"][0] for k in range(WEIGHTS)]) + LENGTH + reach + fall
+    stated = np.array([summary.step_error.probes[f"w{k}.y"][0] for k in range(WEIGHTS)])
+    known = ~np.isnan(stated)
+    assert summary.step_error.runs == 3
+    assert np.count_nonzero(known) >= WEIGHTS // 3
+    assert (np.abs(off[known]) < 1.25 * stated[known]).all()
+
+
+@pytest.mark.long
+def test_bounces_that_are_exact_but_for_rounding_stay_known():
+    """Rounding adds up with the steps, so that the runs come no nearer to each other: their order is not asked for."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    scene.add_material("m", restitution=0.8)
+    scene.add_balls([[0.3 * k, 0.3 + 0.1 * k] for k in range(5)], radius=0.05, material="m")
+    scene.add_wall((0, 1), material="m")
+    with ts.Simulation(scene, dt=2e-3, substeps=1) as sim:
+        error = export(sim, None, fps=25, duration=0.8, error=True).step_error
+    assert error.runs == 3
+    assert error.rms < 1e4 * companion.ROUNDING[PRECISION]
+
+
 @pytest.mark.once
 def test_three_results_tell_an_order():
     for p in (0.5, 1.0, 2.0):
