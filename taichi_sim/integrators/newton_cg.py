@@ -182,10 +182,8 @@ class StageSolver(Verdicts):
                     residual += ti.cast(r.dot(inverse @ r), self.wide)
                     force += ti.cast(f.dot(inverse @ f), self.wide)
                     kinetic += ti.cast(ti.max(own.dot(own), whole.dot(whole)) / w, self.wide)
-                    if whole.norm() > self.finest * self.first[i].norm():  # else it is rounding
-                        load += ti.cast(whole.dot(whole) / w, self.wide)
+                    load += ti.cast(whole.dot(whole) / w, self.wide)
                     blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
-                    blur += self.eps * ti.abs(self.first[i]).max() / w
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                 self.inverse_block[i] = inverse
             self.part[c].residual = residual

@@ -41,7 +41,7 @@ MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 NUMBERS = (
     "phase",  # see below
     *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
-    *("noise", "load"),  # of a residual that may be rounding; of what acts from outside, 0 if that may be
+    *("noise", "load"),  # of a residual that may be rounding; of what acts from outside
     *(
         "change",
         "part",
@@ -216,7 +216,7 @@ class Verdicts:
     def unsolved(self, b):
         """1 if another iteration is due, else 0: the first is, for a small residual may hide a slow mode. Then not where the
         residual is small, nor where the last change was, unless it gives energy; nor where the residual may be rounding and
-        changes do not shrink any more. Where nothing acts none is."""
+        changes do not shrink any more."""
         residual, moved = self.number[b].residual, self.number[b].moved
         iterations = self.number[b].iterations
         least = ti.min(residual, moved)
@@ -228,14 +228,7 @@ class Verdicts:
         if residual < self.number[b].noise and iterations > 1.0:
             large = large and moved < SHRINKING_CHANGE * self.number[b].moved_before
         first = iterations == 0.0 and residual > 0.0
-        due = first or (large and iterations < MOST_ITERATIONS)
-        return ti.cast(due and self.acts(b, residual) == 1, ti.i32)
-
-    @ti.func
-    def acts(self, b, left):
-        """1 if anything acts on body b, of which `left` is left [J], that is more than rounding, else 0."""
-        noise = self.number[b].noise
-        return ti.cast(self.number[b].scale > noise or left > noise or self.number[b].load > 0.0, ti.i32)
+        return ti.cast(first or (large and iterations < MOST_ITERATIONS), ti.i32)
 
     @ti.func
     def add_gain(self, b, gain):
@@ -301,8 +294,10 @@ class Verdicts:
         if not left >= 0.0:  # the matrix was not positive definite
             left = scale
         indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
+        noise = self.number[b].noise
+        acts = scale > noise or left > noise or self.number[b].load > 0.0
         ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
-        if self.acts(b, left) == 1:  # else all of it is rounding
+        if acts:  # else all of it is rounding
             left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
             ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:
