@@ -152,7 +152,7 @@ def _hanging(a: NDArray, b: NDArray, length: float, number: int, gravity: NDArra
     side = b - a - drop * down
     span = float(np.linalg.norm(side))
     if number == 2 or span < piece:
-        more = f" n = {math.ceil(length / span) + 1} balls or more, or" if span > NARROWEST * length else ""
+        more = f" more balls (n = {math.ceil(length / span) + 1}), or" if span > NARROWEST * length else ""
         says = (
             f"makes a fold narrower than a piece of {piece:.3g} m, where start and end are {span:.3g} m apart sideways"
         )

@@ -474,6 +474,6 @@ def test_a_narrow_fold_of_rope_says_how_many_balls_help():
     scene = Scene(dim=2, gravity=(0, -9.81))
     with pytest.raises(SceneError, match=r"0 m apart sideways; give ends that are further apart sideways$"):
         shapes.rope(scene, (1, 3), (1, 2), 12, length=2.5)
-    with pytest.raises(SceneError, match=r"give n = 51 balls or more, or ends"):
+    with pytest.raises(SceneError, match=r"give more balls \(n = 51\), or ends"):
         shapes.rope(scene, (1, 3), (1.05, 2), 12, length=2.5)
     shapes.rope(scene, (1, 3), (1.05, 2), 52, length=2.5)
