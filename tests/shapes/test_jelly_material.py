@@ -248,7 +248,10 @@ REFUSED = [
     ({"mesh": icosphere(1), "spacing": 1.0, "position": (0, 0)}, r"jelly\.position"),
     ({"mesh": icosphere(1), "spacing": 9.0}, r"jelly\.spacing: 9\.0 is not allowed; it must be at most 2, the length"),
     ({"mesh": Surface(CUBE * [1, 0, 1], np.array([[0, 1, 2]], dtype=np.int32))}, r"jelly\.mesh: is flat"),
-    ({"mesh": Surface(CUBE * 1e-3 + [0, 0, 0], np.array([[0, 1, 2]], dtype=np.int32))}, r"jelly\.mesh: encloses nothing that could be filled: 3 edges"),
+    (
+        {"mesh": Surface(CUBE * 1e-3 + [0, 0, 0], np.array([[0, 1, 2]], dtype=np.int32))},
+        r"jelly\.mesh: encloses nothing that could be filled: 3 edges",
+    ),
     ({"mesh": icosphere(1), "spacing": 1e-6}, r"jelly\.spacing: 1e-06 .*GB of memory.*coarser"),
     ({"resolution": (20000, 20000, 20000)}, r"jelly\.resolution: \(20000.* 8e\+12 balls .*GB of memory.*coarser"),
     ({"spacing": 1.0}, r"jelly\.spacing: is for a mesh"),
