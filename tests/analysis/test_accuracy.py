@@ -249,7 +249,7 @@ def test_cloth_lets_through_what_is_said_and_shows_what_is_said_of_the_rest():
     assert {k for k in found if next(s for s in accuracy.sieves(scene) if f"[{k}]" in s.what).strain <= 0.0} == {0, 3}
     with pytest.warns(
         UserWarning,
-        match=r"colliders\[0\] \(capsule\), 0.013 m across, goes between the balls of cloth_0: take balls at most",
+        match=r"colliders\[0\] \(capsule\), 0.013 m across, goes between the balls of cloth_\d: take balls at most",
     ):
         sim = ts.Simulation(scene, arch="cpu")
     with sim:
