@@ -247,7 +247,7 @@ def test_a_bullet_on_a_spring_goes_as_if_alone(contacts):
 @pytest.mark.slow
 @pytest.mark.parametrize("contacts", RULES[:2])
 def test_walls_take_what_crowds_of_bullets_give(contacts):
-    """Where a bullet stops at another before it comes to the wall, the wall has not been hit: momentum, its probes, spin."""
+    """A wall that a bullet does not reach, as another ball stops it, takes no momentum and turns nothing."""
     rng = np.random.default_rng(5)
     scene = ts.Scene(dim=2)
     scene.add_material("m", restitution=0.9, friction=0.3)
