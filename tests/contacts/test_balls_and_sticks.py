@@ -91,8 +91,7 @@ def hit(request):
 
 
 def touch_normal(r, u, reach):
-    """Line of centres at the moment at which the distance of two balls, r apart [m] with the velocity u [m/s], is `reach`, a step ago
-    at the earliest."""
+    """Line of centres when the distance of two balls, r apart [m] with the velocity u [m/s], was `reach`; at most a step ago."""
     b, w = r @ u, u @ u
     t = max(-H, -(b + np.sqrt(max(0.0, b * b - w * (r @ r - reach * reach)))) / w)
     return (r + t * u) / np.linalg.norm(r + t * u)
