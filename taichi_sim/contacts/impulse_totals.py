@@ -1,5 +1,7 @@
 """Received: the impulses that balls give the walls and colliders whose probes ask for them."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,7 +68,15 @@ class Received:
         given = self.sum.to_numpy()[: self.n * self.count].astype(np.float64)
         return self.total + given.reshape(self.n, self.count, self.model.dim).sum(axis=0)
 
-    def set(self, total: NDArray[np.float64]) -> None:
-        """Continue from a total (bodies, dim) [N s]."""
-        self.total = total.copy()
+    def stored(self) -> dict[str, NDArray]:
+        """Arrays of the state last kept, by name."""
+        return {"received": self.total}
+
+    def put_back(self, stored: Mapping[str, NDArray]) -> None:
+        """Take over what `stored` gave."""
+        self.set(stored["received"])
+
+    def set(self, total: NDArray[np.float64] | None) -> None:
+        """Continue from a total (bodies, dim) [N s]; None: 0."""
+        self.total = np.zeros_like(self.total) if total is None else total.copy()
         self.sum.fill(0)

@@ -29,7 +29,7 @@ class State:
         phase = phase_type(model.dim, fields.real)
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.compensated = compensated
-        self.followers: list[Any] = []  # parts that keep and restore what they have by themselves, see Moments
+        self.followers: list[Any] = []  # parts that keep, restore, store and put back what they have, see Moments
         if compensated:
             self.low = fields.table(phase, self.n)
         self.spins = model.spins

@@ -1,6 +1,6 @@
 """Tearing: springs that break for good where they are stretched too far."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -105,14 +105,18 @@ class Tearing:
         torn[number[number >= 0]] = self.torn.to_numpy()[number >= 0] > 0
         return torn
 
-    def tear(self, torn: NDArray[np.bool_]) -> None:
-        """Take over which springs (m,) are torn, from a file or from before lists grew."""
+    def tear(self, torn: NDArray[np.bool_] | None) -> None:
+        """Take over which springs (m,) are torn, from a file or from before lists grew; None: none."""
         number = self.springs.number
-        self.tear_stored(np.where(number < 0, 0, torn[number]))
+        self.put_back({"torn": np.where(number < 0, False, False if torn is None else torn[number])})
 
-    def tear_stored(self, torn: NDArray[Any]) -> None:
-        """Take over which springs, as they are stored, are torn."""
-        self._set(torn.astype(np.int32))
+    def stored(self) -> dict[str, NDArray]:
+        """Arrays of the state last kept, by name."""
+        return {"torn": self.kept.to_numpy()}
+
+    def put_back(self, stored: Mapping[str, NDArray]) -> None:
+        """Take over what `stored` gave."""
+        self._set((stored["torn"] > 0).astype(np.int32))
         self.keep()
 
 

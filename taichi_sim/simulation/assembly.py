@@ -15,6 +15,7 @@ from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
 from taichi_sim.contacts.found_contacts import ContactParts
 from taichi_sim.contacts.grid import Grid
+from taichi_sim.contacts.impulse_totals import Received
 from taichi_sim.contacts.pairs import LISTED_GAP, Pairs
 from taichi_sim.contacts.plan import plan_contacts, slowest_bounce
 from taichi_sim.contacts.statistics import ContactStatistics
@@ -44,7 +45,7 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.drivers import Drivers
-from taichi_sim.simulation.moments import KEPT, Moments
+from taichi_sim.simulation.moments import KEPT, Moments, unnamed
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
 from taichi_sim.simulation.step_doubling import SecondSolution
@@ -99,6 +100,7 @@ class Assembly:
     fields: Fields
     integrator: Any
     colliders: Colliders | None
+    received: Received | None = None
 
     def __init__(
         self,
@@ -255,7 +257,8 @@ class Assembly:
         if plan.walls:
             walls = Walls(model, self.state, fields, plan, self.threshold, self.colliders)
             if walls.probed:
-                self.state.followers.append(walls.received)
+                self.received = walls.received
+                self.state.followers.append(self.received)
         parts = ContactParts(walls, pairs, sticks, triangles)
         rule.bind(plan, model, self.state, fields, parts, self.threshold, h)
         return rule
@@ -373,10 +376,10 @@ class Assembly:
 
     def impulses(self) -> NDArray[np.float64]:
         """(b, dim) N s that walls and colliders have received since the start, those of `probes.bodies_of`."""
-        scene, walls = self.arguments[0], self.contacts.walls
-        if walls is None or not walls.probed or not scene.n_balls:
+        scene = self.arguments[0]
+        if self.received is None or not scene.n_balls:
             return np.zeros((len(bodies_of(scene)), scene.dim))
-        return walls.received.value()
+        return self.received.value()
 
     def snapshot(self) -> Snapshot:
         """The state of all parts."""
@@ -394,54 +397,35 @@ class Assembly:
 
     def resume(self, from_: Snapshot) -> None:
         """Put the state back; `prime` is due."""
-        n, walls = len(from_.position), self.contacts.walls
+        n = len(from_.position)
         x, v = from_.low_position, from_.low_velocity
         self.state.write(from_.position, from_.velocity, None if x is None or v is None else (x, v))
         speed = from_.surface_speed
         self.state.write_spin(np.zeros((n, 1 if self.model.dim == 2 else 3)) if speed is None else speed)
         if self.tearing is not None:
-            torn = from_.torn
-            self.tearing.tear(np.zeros(self.tearing.m, dtype=bool) if torn is None else torn)
-        if walls is not None and walls.probed:
-            given = from_.impulses
-            walls.received.set(np.zeros_like(walls.received.total) if given is None else given)
+            self.tearing.tear(from_.torn)
+        if self.received is not None:
+            self.received.set(from_.impulses)
 
     def stored(self) -> dict[str, NDArray]:
         """All that a run is begun anew from, by names of its own, for `put_back`."""
-        found = self.moments.arrays()
-        if self.tearing is not None:
-            found["torn"] = self.tearing.kept.to_numpy()
-        walls = self.contacts.walls
-        if walls is not None and walls.probed:
-            found["received"] = walls.received.total
-        for k, field in enumerate(self.integrator.counters()):
-            found.update({f"counter.{k}.{name}": column for name, column in field.to_numpy().items()})
-        return found
+        return self.moments.arrays() | self._followed()
+
+    def _followed(self) -> dict[str, NDArray]:
+        """Arrays that the followers of the state keep, by name."""
+        return {name: values for part in self.state.followers for name, values in part.stored().items()}
 
     def check(self, stored: Mapping[str, NDArray], h: list[float]) -> None:
         """Raise ValueError or KeyError where that is not what `stored` gives here, h: `moments.h`."""
         self.moments.prepared(stored, h)
-        tearing, walls = self.tearing, self.contacts.walls
-        if tearing is not None and not (
-            stored["torn"].shape == tearing.stiffness.shape and np.isin(stored["torn"], (0, 1)).all()
-        ):
-            raise ValueError("torn does not fit")
-        if walls is not None and walls.probed and stored["received"].shape != walls.received.total.shape:
-            raise ValueError("received does not fit")
-        for k, field in enumerate(self.integrator.counters()):
-            if any(stored[f"counter.{k}.{name}"].shape != (1,) for name in field.keys):
-                raise ValueError(f"counter.{k} does not fit")
+        for name, values in self._followed().items():
+            unnamed(name, values, stored)
 
     def put_back(self, stored: Mapping[str, NDArray], h: list[float]) -> None:
         """Restore what `stored` gave, checked; a moment has to be loaded then."""
         self.moments.write(stored, h)
-        if self.tearing is not None:
-            self.tearing.tear_stored(stored["torn"])
-        walls = self.contacts.walls
-        if walls is not None and walls.probed:
-            walls.received.set(stored["received"])
-        for k, field in enumerate(self.integrator.counters()):
-            field.from_numpy({name: stored[f"counter.{k}.{name}"] for name in field.keys})
+        for part in self.state.followers:
+            part.put_back(stored)
 
     def searches(self) -> int:
         """Number of searches for neighbours so far."""

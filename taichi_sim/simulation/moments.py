@@ -48,6 +48,7 @@ class Moments:
         self.scaled = [
             [name for name in ("impulse", "tangential_impulse") if name in getattr(f, "keys", [])] for f in self.held
         ]
+        self.whole = {f"counter.{k}": field for k, field in enumerate(integrator.counters())}  # stored as they are now
         self.h = [0.0] * (count + 1)
 
     def _like(self, field: Any, fields: Fields) -> Any:
@@ -169,6 +170,8 @@ class Moments:
                 most = min(self.sizes[k], start + int(self.held_stored[number].to_numpy().max()))
                 rows = (np.arange(self.moments)[:, None] * self.sizes[k] + np.arange(most)).ravel()
             found.update(named(f"contact.{k}", values, rows))
+        for name, field in self.whole.items():
+            found.update(named(name, field.to_numpy()))
         return found
 
     def prepared(self, arrays: Mapping[str, NDArray], h: list[float]) -> list[tuple[Any, Any]]:
@@ -180,7 +183,7 @@ class Moments:
             moments = self.moments if k in self.lists else 0
             values = unnamed(f"contact.{k}", field.to_numpy(), arrays, moments)
             found.append((field, self._in_pieces(k, values, False)))
-        return found
+        return found + [(field, unnamed(name, field.to_numpy(), arrays)) for name, field in self.whole.items()]
 
     def _in_pieces(self, k: int, values: Any, pieces: bool) -> Any:
         """Table k, where lists of pairs lie side by side (see kernels.contacts.pair_lists), as if they lay in pieces, or back."""

@@ -242,8 +242,8 @@ class Simulation(Reader):
             position, self.settled = settle(other, tolerance, longest)
         if not self._still:
             self._state.write_spin(np.zeros_like(self._state.surface_speed))
-            if (walls := self.parts.contacts.walls) is not None and walls.probed:
-                walls.received.set(np.zeros_like(walls.received.total))
+            if self.parts.received is not None:
+                self.parts.received.set(None)
         self._write(position, np.zeros_like(position))
         self._begin_readings()
         return self.settled

@@ -1,10 +1,6 @@
 """SecondSolution: a second solution of the same scene, with other steps, stored beside the first, to measure the error by."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
@@ -12,7 +8,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.state import WORLD_RADIUS, State
 from taichi_sim.integrators.base import Integrator
 from taichi_sim.kernels.reductions import each_part, member, members, parts_of
-from taichi_sim.simulation.moments import KEPT, Moments, named, unnamed
+from taichi_sim.simulation.moments import KEPT, Moments
 
 __all__ = ["AHEAD", "BEGUN", "COARSE", "FINE", "NEXT", "START", "SecondSolution"]
 
@@ -34,7 +30,7 @@ class SecondSolution(Moments):
         self.parts = parts_of(self.n)
         self.row = np.zeros(self.parts, dtype=np.float64 if fields.real == ti.f64 else np.float32)
         # the second solution, to be compared
-        self.seen = fields.table({"x": ti.types.vector(state.dim, fields.real)}, self.n)
+        self.seen = self.whole["seen"] = fields.table({"x": ti.types.vector(state.dim, fields.real)}, self.n)
 
     @ti.kernel
     def _show(self):
@@ -71,11 +67,3 @@ class SecondSolution(Moments):
         self._compare(self.row)
         square = float(self.row.max())
         return float(np.sqrt(square)) if square < WORLD_RADIUS else np.inf
-
-    def arrays(self) -> dict[str, NDArray]:
-        """Arrays of the moments, with where the second solution was shown."""
-        return super().arrays() | named("seen", self.seen.to_numpy())
-
-    def prepared(self, arrays: Mapping[str, NDArray], h: list[float]) -> list[tuple[Any, Any]]:
-        """Values of `arrays` for each field, with where the second solution was shown: (field, values)."""
-        return [*super().prepared(arrays, h), (self.seen, unnamed("seen", self.seen.to_numpy(), arrays))]
