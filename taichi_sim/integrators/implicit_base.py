@@ -94,16 +94,16 @@ class Implicit(Integrator):
             self.end(stage, h)
         self.fresh[0] = 0
 
-    def advance(self, h: float, time: float) -> None:
-        """Advance by one step of h seconds from the host, with loops that run in parallel."""
+    def advance(self, number: int, h: float, time: float) -> None:
+        """Advance by substep `number` of those of h seconds from `time` on, from the host, with loops that run in parallel."""
         for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
-            self._begin(stage, h, time)
+            self._begin(stage, number, h, time)
             if self.solves:
                 self.launched.solve(self.part * h, stage)
             else:
                 self._launch_free()
             self._end(stage, h)
-        self.launches.run(STEP, 0, h, time)
+        self.launches.run(STEP, number, h, time)
 
     @ti.func
     def _free(self):
@@ -117,8 +117,8 @@ class Implicit(Integrator):
         self._free()
 
     @ti.kernel
-    def _begin(self, stage: int, h: float, time: float):
-        self.begin(stage, h, time)
+    def _begin(self, stage: int, number: int, h: float, time: float):
+        self.begin(stage, h, time + number * h)
 
     @ti.kernel
     def _end(self, stage: int, h: float):

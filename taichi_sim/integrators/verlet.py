@@ -134,13 +134,14 @@ class Verlet(Integrator):
         for j in range(1, self.kick.count[1]):
             self.kick.stage(1, j, h, self.pull, False)
 
-    def advance(self, h: float, time: float) -> None:
-        """Advance by one step of h seconds from the host, where the number of stages is not known when loops are compiled."""
+    def advance(self, number: int, h: float, time: float) -> None:
+        """Advance by substep `number` of those of h seconds from `time` on, from the host, because the number of stages is not
+        known when loops are compiled."""
         before, after = (int(count) for count in self.kick.counts)
         self._launch_open(h)
         for j in range(1, before):
             self._launch_stage(0, j, h)
-        self.launches.run(STEP, 0, h, time)
+        self.launches.run(STEP, number, h, time)
         for j in range(1, after):
             self._launch_stage(1, j, h)
         self._launch_close(h)

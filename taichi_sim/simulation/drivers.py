@@ -75,7 +75,7 @@ class Drivers:
         if self.leads or self.flexes:
             self._launch_drive(True)
         if self.integrator.runs_from_host:
-            self.integrator.advance(h, time + number * h)
+            self.integrator.advance(number, h, time)
         else:
             self.integrator.launches.run(STEP, number, h, time)
         if self.tears:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from physics_colliders import ROOM, SHOTS, SPEED, TURNTABLE, G, H, Laboratory, R, block, ring
+from physics_colliders import ROOM, SHOTS, SPEED, TURNTABLE, G, H, Laboratory, R, block, drum_scene, ring
 from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 
 import taichi_sim as ts
@@ -231,19 +231,6 @@ def test_overlap_counts_colliders(laboratory):
 # Several balls, spin, drivers -----------------------------------------------------------------------------------------
 
 
-def drum_scene(dim):
-    """A pile in a turning drum with a blade."""
-    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
-    rubber = scene.add_material("rubber", restitution=0.2, friction=0.6)
-    turning = {"rotation_rate": np.degrees(1.5 if dim == 2 else (0.0, 0.0, 1.5)), "material": rubber}
-    scene.add_collider(ts.Sphere(np.zeros(dim), 0.6, hollow=0.1, **turning))
-    blade = vector(dim, 0.6), vector(dim, 0.45)
-    scene.add_collider(ts.Capsule(*blade, 0.05, pivot=np.zeros(dim), **turning))
-    resolution = (7, 5) if dim == 2 else (5, 3, 5)
-    ts.shapes.pile(scene, resolution, 0.04, jitter=0.1, material=rubber, position=vector(dim, -0.25, -0.25, -0.2))
-    return scene
-
-
 @pytest.mark.long
 def test_a_pile_in_a_turning_drum_is_lifted_and_stays_within():
     scene = drum_scene(2)
@@ -277,22 +264,6 @@ def test_a_lone_ball_in_a_drum_soon_rolls_without_slipping():
             assert v @ along + turn == pytest.approx(0.5, rel=1e-3)
             assert np.linalg.norm(x) == pytest.approx(1.0 - R, abs=0.01 * R)
         assert turn > 0.25
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("contacts", ["gauss_seidel", "jacobi"])
-@pytest.mark.parametrize("dim", DIMS)
-def test_same_bits_in_either_driver_and_however_a_run_is_divided(dim, contacts):
-    """Moving colliders, a pile, 300 steps."""
-    ends = []
-    for driver, parts in (("fused", 1), ("fused", 60), ("parallel", 5)):
-        with simulate(drum_scene(dim), ("ordered", driver), dt=2e-3, contacts=contacts, contact_iterations=2) as sim:
-            for _ in range(parts):
-                sim.step(300 // parts)
-            ends.append((sim.position, sim.velocity))
-    for x, v in ends[1:]:
-        assert np.array_equal(x, ends[0][0])
-        assert np.array_equal(v, ends[0][1])
 
 
 @pytest.mark.long

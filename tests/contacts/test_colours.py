@@ -96,23 +96,6 @@ def state(sim):
     return np.hstack([sim.position, sim.velocity, sim.angular_velocity.reshape(sim.scene.n_balls, -1)])
 
 
-@pytest.mark.long
-def test_the_same_bits_by_either_driver_and_from_a_file(tmp_path):
-    """Nothing depends on which thread does what, or in which order blocks were listed."""
-    scene = heap(3)
-    with coloured(scene, contact_iterations=2) as sim:
-        sim.step(30)
-        expected = state(sim)
-    with coloured(scene, "parallel", contact_iterations=2) as sim:
-        sim.step(14)
-        sim.save(tmp_path / "a.npz")
-        sim.step(16)
-        np.testing.assert_array_equal(state(sim), expected)
-        with ts.Simulation.restore(tmp_path / "a.npz") as rest:
-            rest.step(16)
-            np.testing.assert_array_equal(state(rest), expected)
-
-
 def crowds(e=1.0, n=120):
     """Balls thrown at each other, without gravity; far away two that meet head on, and one that is met by two at once."""
     rng = np.random.default_rng(3)

@@ -53,13 +53,6 @@ def test_the_same_motion_as_in_blocks(dim):
     assert np.median(np.abs(here - there)) < (1e-12 if F64 else 1e-4)
 
 
-@pytest.mark.slow
-def test_the_same_bits_by_either_driver():
-    """Nothing depends on which thread does what."""
-    scene = heap(3)
-    np.testing.assert_array_equal(ended(scene, "gather")[0], ended(scene, "gather", driver="fused")[0])
-
-
 @pytest.fixture
 def lay_side_by_side(monkeypatch):
     """Call it with whether lists made from now on lie side by side, as on a device."""

@@ -107,17 +107,3 @@ def test_momentum_of_a_stick_that_is_hit():
         assert np.abs(now - p).max() < (1e-11 if F64 else 1e-3) * np.abs(p).max()
     assert np.asarray(sim.velocity)[2:4, 1].max() < -1.0  # it was
     sim.close()
-
-
-@pytest.mark.slow
-def test_steps_in_other_groups_have_the_same_bits():
-    seen = []
-    for group in (1, 7, 70):
-        sim = ts.Simulation(bridge(20.0, drop=0.5, at=(-0.1, 0.12)), arch="cpu", integrator="verlet", dt=1e-3)
-        for _ in range(70 // group):
-            sim.step(group)
-        seen.append((np.asarray(sim.position), np.asarray(sim.velocity)))
-        sim.close()
-    for x, v in seen[1:]:
-        np.testing.assert_array_equal(x, seen[0][0])
-        np.testing.assert_array_equal(v, seen[0][1])

@@ -180,19 +180,6 @@ def test_what_an_elastic_pack_is_thrown_back_with_does_not_depend_on_the_step():
 
 
 @pytest.mark.long
-def test_what_spins_is_saved(tmp_path):
-    scene = box_of_balls(2, 4, 5, friction=0.4)
-    with simulate(scene, dt=1e-3) as sim:
-        sim.step(250)
-        sim.save(tmp_path / "state.npz")
-        spin = sim.angular_velocity
-        assert np.max(np.abs(spin)) > 0.1
-        with ts.Simulation.restore(tmp_path / "state.npz") as again:
-            assert np.array_equal(again.angular_velocity, spin)
-            assert again.energy() == sim.energy()
-
-
-@pytest.mark.long
 def test_settings_of_the_solver():
     smooth, rough = box_of_balls(2, 2, 2), box_of_balls(2, 2, 2, friction=0.1)
     lively, weightless = box_of_balls(2, 2, 2, restitution=0.9), box_of_balls(2, 2, 2, restitution=0.9)

@@ -1,15 +1,9 @@
 """Triangles that collide: found as by brute force, solved as by hand, and never gone through."""
 
-import hashlib
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import reference_facets as ref
-from physics_bits import digest
-from physics_support import F64, PRECISION, simulate
+from physics_support import F64, simulate
 from taichi_sim.kernels.contacts.triangle_pairs import SHORTEST_LEVER
 
 import taichi_sim as ts
@@ -317,22 +311,3 @@ def test_the_look_from_beneath_sees_what_it_looks_for():
     x[:, 1] -= 2.0 * x[:, 0] * (1 - x[:, 0]) * x[:, 2] * (1 - x[:, 2])
     at = np.array([[0.4, -0.05, 0.6], [0.4, -0.3, 0.6], [0.4, 0.1, 0.6], [1.4, -0.3, 0.6]])
     assert beneath(at, x[net.triangles]).tolist() == [False, True, False, False]
-
-
-@pytest.mark.long
-def test_both_drivers_and_any_number_of_threads_have_the_same_bits(flight):
-    def run(threads):
-        command = [sys.executable, __file__, PRECISION, str(threads)]
-        found = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # what this file imports from tests/support
-        done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False, env=found)
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()[-1]
-
-    _, _, x, v = flight
-    expected = hashlib.sha256(x.tobytes() + v.tobytes()).hexdigest()
-    assert run(1) == expected
-    assert run(2) == expected
-
-
-if __name__ == "__main__":
-    print(digest(hall()[0], STEPS, sys.argv[1], threads=int(sys.argv[2]), driver="parallel"))

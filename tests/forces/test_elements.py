@@ -207,16 +207,6 @@ def test_the_wind_on_light_cloth_does_not_depend_on_the_step():
     assert sag[0][1] == pytest.approx(sag[1][1], rel=1e-3)
 
 
-@pytest.mark.slow
-def test_both_drivers_give_the_same_bits():
-    ends = []
-    for driver in ("fused", "parallel"):
-        with simulate(box(), ("ordered", driver), dt=H, contacts="off") as sim:
-            sim.step(50)
-            ends.append(sim.position)
-    np.testing.assert_array_equal(*ends)
-
-
 def closed(dim: int) -> ts.Scene:
     """Cells, in 3D bending and gas too, without wind, damping or pins."""
     scene = square() if dim == 2 else box()

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from physics_support import EPS, F64, PRECISION, simulate
 from scene_files import assert_refused
+from trajectories import KEYS, muscle
 
 import taichi_sim as ts
-from taichi_sim.device.engine import IS_KNOWN
 from taichi_sim.scene.document import document
 
 K, M, LENGTH, PART, FREQUENCY = 40.0, 0.5, 1.0, 0.1, 0.8  # N/m, kg, m, 1, 1/s
 RATE = 2.0 * np.pi * FREQUENCY
 AMPLITUDE = PART * LENGTH * (K / M) / (K / M - RATE**2)  # m, of the steady motion
-KEYS = [(0.1, 0.0), (0.3, 0.2), (0.4, -0.1), (0.6, 0.0)]
 
 
 def oscillator() -> ts.Scene:
@@ -48,40 +47,6 @@ def test_steady_motion_with_the_order_of_each_method(method, order, off):
     assert errors[1] < max(off, 40 * EPS)
     if errors[1] > 400 * EPS:
         assert abs(np.log2(errors[0] / errors[1]) - order) < 0.3
-
-
-def muscle(n: int = 12, damping: float = 0.05) -> ts.Scene:
-    """A chain of n balls whose springs all pull in turn, and one by keyframes."""
-    scene = ts.Scene(dim=2, gravity=(0.0, -1.0))
-    x = np.stack([0.5 * np.arange(n), np.zeros(n)], axis=1)
-    balls = scene.add_balls(x, radius=0.05, mass=0.1, pinned=[0])
-    springs = scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=200.0, damping=damping)
-    scene.add_motor(springs[:-1], amplitude=0.2, frequency=3.0, phase=30.0 * np.arange(n - 2))
-    scene.add_motor(springs[-1:], path=KEYS, repeat=True)
-    return scene
-
-
-@pytest.mark.slow_where(method="tr_bdf2")
-@pytest.mark.parametrize("method", ["verlet", "tr_bdf2"])
-def test_bits_depend_on_numbers_of_steps_alone(method, tmp_path):
-    """However a run is divided, saved and restored, begun anew, or launched; also over the ends of chunks."""
-    with simulate(muscle(), integrator=method, dt=1e-3, contacts="off") as sim:
-        sim.step(700)
-        end = sim.position
-        if IS_KNOWN:
-            sim.reset(muscle())
-            sim.step(700)
-            np.testing.assert_array_equal(sim.position, end)
-    with simulate(muscle(), integrator=method, dt=1e-3, contacts="off") as sim:
-        for n in (1, 299):
-            sim.step(n)
-        sim.save(tmp_path / "state.npz")
-        sim.step(400)
-        np.testing.assert_array_equal(sim.position, end)
-    with ts.Simulation.restore(tmp_path / "state.npz") as again:
-        again.step(400)
-        np.testing.assert_array_equal(again.position, end)
-    assert np.linalg.norm(end - muscle().position, axis=1).max() > 0.1
 
 
 @pytest.mark.long

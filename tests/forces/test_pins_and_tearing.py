@@ -8,6 +8,7 @@ import pytest
 from own_methods import Declared
 from physics_support import EPS, PRECISION, simulate, vector
 from scene_files import assert_refused
+from trajectories import pierced
 
 import taichi_sim as ts
 from taichi_sim.scene.document import document
@@ -51,27 +52,6 @@ def test_pins_follow_their_path(method, driver):
             np.testing.assert_allclose(sim.position[:2], place(sim.time), atol=40 * EPS)
         assert np.abs(sim.velocity[:2]).max() < 1e-12  # the path has ended
         assert np.all(np.isfinite(sim.position))
-
-
-def test_bits_do_not_depend_on_how_a_run_is_divided():
-    ends = []
-    for parts in ([400], [130, 1, 269]):
-        with simulate(driven(), dt=1e-3, contacts="off") as sim:
-            for n in parts:
-                sim.step(n)
-            ends.append(sim.position)
-    np.testing.assert_array_equal(*ends)
-
-
-def test_a_run_is_restored_on_its_path(tmp_path):
-    with simulate(driven(), dt=1e-3, contacts="off") as sim:
-        sim.step(150)
-        sim.save(tmp_path / "state.npz")
-        sim.step(150)
-        end = sim.position
-    with ts.Simulation.restore(tmp_path / "state.npz") as again:
-        again.step(150)
-        np.testing.assert_array_equal(again.position, end)
 
 
 @pytest.mark.slow
@@ -315,22 +295,6 @@ def test_a_torn_triangle_lets_through_and_its_neighbour_bears(torn):
         assert away[:2] == pytest.approx(1 / 3, abs=1e-6)
 
 
-def pierced(resolution=(11, 11), weak=0.06) -> ts.Scene:
-    """A sheet between two pinned sides, weak along its middle, and a heavy ball that falls on it."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=resolution, stiffness=1500, damping=0.5, mass=0.3,
-                            pinned="left", surface_collision=True)  # fmt: skip
-    right = sheet.balls[scene.position[sheet.balls, 0] > scene.position[sheet.balls, 0].max() - 1e-6]
-    scene.set_balls(right, pinned=True)
-    if weak:
-        x = scene.position[scene.pairs[sheet.springs]][:, :, 0] - scene.position[sheet.balls, 0].mean()
-        across = (x.min(axis=1) < 1e-6) & (x.max(axis=1) > 1e-6)
-        scene.set_springs(sheet.springs[across], break_strain=weak)
-    centre = scene.position[sheet.balls].mean(axis=0)
-    scene.add_balls(np.add([centre], [0.01, 0.3, 0.02]), radius=0.15, mass=3.0)
-    return scene
-
-
 @pytest.mark.long
 @pytest.mark.long_in("f64")
 def test_cloth_that_tears_collides_with_what_tears_it():
@@ -374,28 +338,6 @@ def test_a_stick_beside_a_spring_that_tears_still_collides():
         sim.run(0.4)
         assert sim.torn.tolist() == [False, True]
         assert sim.position[4:, 1] == pytest.approx(0.02, abs=2e-3)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("driver", ["fused", "parallel"])
-def test_so_does_a_run_that_was_saved_while_it_tore(driver, tmp_path):
-    """To the same bits, saved whenever something has just torn."""
-    at, n = [], 0
-    with simulate(pierced(), ("ordered", driver), dt=1e-3) as sim:
-        for step in range(420):
-            sim.step(1)
-            if sim.torn.sum() > n and len(at) < 3:
-                n = sim.torn.sum()
-                at.append(tmp_path / f"{step}.npz")
-                sim.save(at[-1])
-        whole = np.concatenate([sim.position, sim.velocity])
-        torn = sim.torn
-    assert len(at) == 3
-    for file in at:
-        with ts.Simulation.restore(file) as sim:
-            sim.step(419 - int(file.stem))
-            assert np.array_equal(sim.torn, torn)
-            assert np.array_equal(np.concatenate([sim.position, sim.velocity]), whole)
 
 
 @pytest.mark.parametrize(

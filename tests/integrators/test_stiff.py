@@ -9,12 +9,12 @@ from physics_support import F64, each_dim, error, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis.methods import BUILT_IN_METHODS
 from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, coarse_preconditioner
+from tests.support.drag import Drag
 
 pytestmark = pytest.mark.long_in("f32")
 
 STIFF = ("xpbd", "implicit_euler", "tr_bdf2")
 KINDS = {"xpbd": XPBD, "implicit_euler": ImplicitEuler, "tr_bdf2": TRBDF2}
-FUSED, PARALLEL = ("ordered", "fused"), ("ordered", "parallel")
 each_stiff = pytest.mark.parametrize("method", STIFF)
 
 
@@ -203,24 +203,6 @@ def test_heavy_end(method):
         assert abs(-sim.position[-1, 1] - 0.1 * n - stretch) < 0.01 * stretch
 
 
-@pytest.mark.slow
-@each_stiff
-@pytest.mark.long_where(method=["implicit_euler"])
-def test_both_drivers_give_the_same_bits(method):
-    """A net of four blocks."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(16, 16))
-    scene.set_balls(sheet.balls[:2], pinned=True)
-    found = []
-    for variant in (FUSED, PARALLEL):
-        with simulate(scene, variant, integrator=method, dt=5e-3, contacts="off") as sim:
-            sim.step(20)
-            found.append((sim.position, sim.velocity))
-    assert np.array_equal(found[0][0], found[1][0])
-    assert np.array_equal(found[0][1], found[1][1])
-    assert np.max(np.abs(found[0][1])) > 0.1
-
-
 def hanging_sheet(along, across, stiffness, steps):
     """A sheet held along one side, and where its balls are after so many steps of 0.5 ms, by RK4."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
@@ -348,15 +330,6 @@ def test_pinned_balls_keep_still(method):
 @pytest.mark.slow
 def test_tr_bdf2_takes_forces_of_ones_own_to_second_order():
     """Linear drag on a swinging spring, which is explicit, against the closed form by matrix exponential."""
-    import taichi as ti
-
-    @ti.data_oriented
-    class Drag:
-        @ti.func
-        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-            for i in range(model.n):
-                impulse[i] += -h * 0.8 * ball[i].v
-
     scene = ts.Scene(dim=2)
     b = scene.add_balls([[0, 0], [1.0, 0]], radius=0.01, pinned=[0], velocity=[[0, 0], [0.01, 0]])
     scene.add_springs([b], stiffness=30.0)
@@ -365,7 +338,7 @@ def test_tr_bdf2_takes_forces_of_ones_own_to_second_order():
     exact = ((V * np.exp(w * 0.64)) @ np.linalg.solve(V, [0.0, 0.01])).real
     e = []
     for n in (64, 128, 256):
-        with simulate(scene, integrator=exactly("tr_bdf2"), dt=0.64 / n, forces=[Drag()]) as sim:
+        with simulate(scene, integrator=exactly("tr_bdf2"), dt=0.64 / n, forces=[Drag(0.8)]) as sim:
             sim.step(n)
             e.append(abs(sim.position[1, 0] - 1.0 - exact[0]))
     if F64:

@@ -1,4 +1,5 @@
-"""Positions after n steps depend on n alone: not on calls, frames, looks, checkpoints, nor on where a saved run went on."""
+"""Positions after n steps depend on n alone: not on the driver, calls, frames, looks, checkpoints, nor on where a saved run went
+on."""
 
 import warnings
 
@@ -10,7 +11,7 @@ from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
 
-QUICK = {"led_by_pins"}
+QUICK = {"led_by_pins", "network_rk4", "motors_verlet"}
 SLOWER = {"tearing_in_wind"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]
@@ -24,21 +25,12 @@ MARKS = {
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS[name]) for name in trajectories.BY_NAME])
 def test_a_run_has_one_trajectory(name, monkeypatch):
-    """In 1, 7 and 50 calls, as frames of 24, 30 and 60 a second, from ten moments and from a file. Chunks are short, so that all
-    this lies across their ends."""
+    """In either driver; in 1, 7 and 50 calls, as frames of 24, 30 and 60 a second, from ten moments and from a file. Chunks are
+    short, so that all this lies across their ends."""
     trajectories.short_chunks(monkeypatch)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert trajectories.differences(trajectories.BY_NAME[name], PRECISION) == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", list(trajectories.BY_NAME))
-def test_a_run_in_parallel_has_one_trajectory(name, monkeypatch):
-    trajectories.short_chunks(monkeypatch)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert trajectories.differences(trajectories.BY_NAME[name], PRECISION, driver="parallel") == []
 
 
 def swung_too_fast():

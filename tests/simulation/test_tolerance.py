@@ -79,26 +79,6 @@ def swinging():
 TOLERANCE = 1e-4
 
 
-@pytest.mark.slow
-def test_both_drivers_save_and_resume_give_the_same_bits(swinging, tmp_path):
-    ends = []
-    for driver in ("fused", "parallel"):
-        with simulate(swinging, ("ordered", driver), tolerance=TOLERANCE) as sim:
-            sim.step(20)
-            sim.save(tmp_path / "state.npz")
-            for _ in range(20):
-                sim.step()
-            ends.append(sim.position)
-            assert sim.time == pytest.approx(40 / 240)
-            if driver == "fused":
-                said = sim.error()
-    assert np.array_equal(*ends)
-    with ts.Simulation.restore(tmp_path / "state.npz", driver="fused") as again:
-        again.run(20 / 240)
-        assert np.array_equal(again.position, ends[0])
-        assert again.error() == said
-
-
 def test_it_ends_where_small_steps_end(swinging):
     with simulate(swinging, tolerance=TOLERANCE) as sim:
         frames = list(sim.frames(fps=60, duration=T))

@@ -4,6 +4,7 @@ import hashlib
 import sys
 
 import numpy as np
+from reference_bits import surfaces
 
 import taichi_sim as ts
 from taichi_sim.simulation import assembly
@@ -57,7 +58,7 @@ def digest(scene, steps, precision, **settings):
 if __name__ == "__main__":
     precision, threads = sys.argv[1], int(sys.argv[2])
     runs = [(cloth(2), 50, "off", ""), (cloth(2), 50, "off", "blocks")]
-    runs += [(pile(2), 60, "jacobi", ""), (pile(2), 1000, "gauss_seidel", "")]
+    runs += [(pile(2), 60, "jacobi", ""), (pile(2), 1000, "gauss_seidel", ""), (surfaces()[0], 300, "auto", "")]
     for scene, steps, contacts, order in runs:
         assembly.FUSED_UP_TO = 0 if order == "blocks" else 20_000  # above it springs go in blocks, below in rows
         settings = {

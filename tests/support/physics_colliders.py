@@ -181,3 +181,16 @@ class Laboratory:
             balls = self.scene.add_balls(x, radius=R, velocity=v, material="elastic", body=self.body)
             targets.append(SimpleNamespace(collider=number, balls=balls, moves=k in (6, 7)))
         return targets
+
+
+def drum_scene(dim):
+    """A pile in a turning drum with a blade."""
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
+    rubber = scene.add_material("rubber", restitution=0.2, friction=0.6)
+    turning = {"rotation_rate": np.degrees(1.5 if dim == 2 else (0.0, 0.0, 1.5)), "material": rubber}
+    scene.add_collider(ts.Sphere(np.zeros(dim), 0.6, hollow=0.1, **turning))
+    blade = vector(dim, 0.6), vector(dim, 0.45)
+    scene.add_collider(ts.Capsule(*blade, 0.05, pivot=np.zeros(dim), **turning))
+    resolution = (7, 5) if dim == 2 else (5, 3, 5)
+    ts.shapes.pile(scene, resolution, 0.04, jitter=0.1, material=rubber, position=vector(dim, -0.25, -0.25, -0.2))
+    return scene

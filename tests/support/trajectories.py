@@ -1,9 +1,9 @@
-"""Scenes of which a run has one trajectory, however it is divided: every integrator, every rule of contacts, wind, moving pins,
-control of the error, tearing, colliders, surfaces, lists that grow.
+"""Scenes of which a run has one trajectory, in either driver and however it is divided: every integrator, every rule and order
+of contacts, wind, moving pins, motors, control of the error, strong damping, tearing, colliders, surfaces, lists that grow.
 
     python tests/support/trajectories.py [NAME ...]
 
-runs each whole, in pieces, and from ten moments that were saved, and prints those whose bits differ.
+runs each in both drivers, whole, in pieces, and from ten moments that were saved, and prints those whose bits differ.
 """
 
 import hashlib
@@ -15,12 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import reference_bits as bits
+from physics_colliders import drum_scene
 
 import taichi_sim as ts
 from taichi_sim.contacts import pairs
 from taichi_sim.simulation import stepper
 
 STEPS = 300
+KEYS = [(0.1, 0.0), (0.3, 0.2), (0.4, -0.1), (0.6, 0.0)]  # of a motor: s, 1
 
 
 def led_by_pins():
@@ -31,11 +33,80 @@ def led_by_pins():
     return scene, {"contacts": "off"}
 
 
-def in_the_wind():
+def muscle(n: int = 12, damping: float = 0.05) -> ts.Scene:
+    """A chain of n balls whose springs all pull in turn, and one by keyframes."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -1.0))
+    x = np.stack([0.5 * np.arange(n), np.zeros(n)], axis=1)
+    balls = scene.add_balls(x, radius=0.05, mass=0.1, pinned=[0])
+    springs = scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=200.0, damping=damping)
+    scene.add_motor(springs[:-1], amplitude=0.2, frequency=3.0, phase=30.0 * np.arange(n - 2))
+    scene.add_motor(springs[-1:], path=KEYS, repeat=True)
+    return scene
+
+
+def motors_verlet():
+    return muscle(), {"dt": 1e-3, "contacts": "off"}
+
+
+def motors_tr_bdf2():
+    return muscle(), {"dt": 1e-3, "contacts": "off", "integrator": "tr_bdf2"}
+
+
+def in_the_wind(damping=0.3):
     scene = ts.Scene(dim=3, gravity=(0, -9.81, 0))
-    ts.shapes.cloth(scene, size=(0.6, 0.6), resolution=(7, 7), stiffness=400.0, damping=0.3, pinned=[0, 6])
+    ts.shapes.cloth(scene, size=(0.6, 0.6), resolution=(7, 7), stiffness=400.0, damping=damping, pinned=[0, 6])
     scene.add_wind((6, 0, 3), gust=0.5, gust_length=0.5)
     return scene, {"contacts": "off"}
+
+
+def in_the_wind_strongly_damped():
+    return in_the_wind(damping=30.0)
+
+
+def in_the_wind_implicit():
+    return in_the_wind()[0], {"contacts": "off", "integrator": "implicit_euler", "dt": 2e-3}
+
+
+def balloon_verlet():
+    return bits.balloon_xpbd()[0], {"dt": 1e-3}
+
+
+def pierced(resolution=(11, 11), weak=0.06, speed=0.0) -> ts.Scene:
+    """A sheet between two pinned sides, weak along its middle, and a heavy ball that falls on it."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=resolution, stiffness=1500, damping=0.5, mass=0.3,
+                            pinned="left", surface_collision=True)  # fmt: skip
+    right = sheet.balls[scene.position[sheet.balls, 0] > scene.position[sheet.balls, 0].max() - 1e-6]
+    scene.set_balls(right, pinned=True)
+    if weak:
+        x = scene.position[scene.pairs[sheet.springs]][:, :, 0] - scene.position[sheet.balls, 0].mean()
+        across = (x.min(axis=1) < 1e-6) & (x.max(axis=1) > 1e-6)
+        scene.set_springs(sheet.springs[across], break_strain=weak)
+    centre = scene.position[sheet.balls].mean(axis=0)
+    scene.add_balls(np.add([centre], [0.01, 0.3, 0.02]), radius=0.15, mass=3.0, velocity=(0.0, -speed, 0.0))
+    return scene
+
+
+def surfaces_that_tear():
+    return pierced(resolution=(7, 7), speed=3.0), {"dt": 1e-3}
+
+
+def drum():
+    return drum_scene(2), {"dt": 2e-3, "contact_iterations": 2}
+
+
+def crowd_of_unequal_masses():
+    scene = bits._crowd(2, 30, seed=6)
+    scene.set_balls(mass=10.0 ** np.random.default_rng(6).uniform(-1.5, 1.5, 30))
+    return scene, {"dt": 1e-3}
+
+
+def crowd_gathered():
+    return bits._crowd(2, 60), {"dt": 1e-3, "contacts": "jacobi", "accumulate": "gather"}
+
+
+def crowd_by_colours():
+    return bits._crowd(3, 60), {"dt": 1e-3, "contacts": "gauss_seidel", "accumulate": "gather"}
 
 
 def crowd_with_a_tolerance():
@@ -56,7 +127,11 @@ def lists_that_grow():
     return scene, {"dt": 1e-3, "contacts": "jacobi", "contact_iterations": 1}
 
 
-SCENES = (*bits.SCENES, led_by_pins, in_the_wind, crowd_with_a_tolerance, lists_that_grow)
+SCENES = (
+    *bits.SCENES, led_by_pins, motors_verlet, motors_tr_bdf2, in_the_wind, in_the_wind_strongly_damped, in_the_wind_implicit,
+    balloon_verlet, surfaces_that_tear, drum, crowd_of_unequal_masses, crowd_gathered, crowd_by_colours,
+    crowd_with_a_tolerance, lists_that_grow,
+)  # fmt: skip
 BY_NAME = {build.__name__: build for build in SCENES}
 
 
@@ -66,8 +141,10 @@ def steps_of(settings):
 
 
 def digest(sim):
-    """SHA-256 of positions and velocities."""
-    return hashlib.sha256(sim.position.tobytes() + sim.velocity.tobytes()).hexdigest()
+    """SHA-256 of positions, velocities and spin, of what has torn, and of the error that was found."""
+    arrays = (sim.position, sim.velocity, sim.angular_velocity)
+    said = repr((None if sim.torn is None else sim.torn.tolist(), sim.error()))
+    return hashlib.sha256(b"".join(one.tobytes() for one in arrays) + said.encode()).hexdigest()
 
 
 def whole(sim, start, steps):
@@ -128,21 +205,28 @@ def short_chunks(monkeypatch=None, substeps=64):
             monkeypatch.setattr(module, name, value)
 
 
-def differences(build, precision, **settings):
-    """What differs from a run in one call."""
+def ways(build, precision, driver):
+    """Digests at the end of one run in several ways, by name, the first in one call."""
     scene, own = build()
     steps = steps_of(own)
     with (
-        ts.Simulation(scene, arch="cpu", precision=precision, threads=2, **own | settings) as sim,
+        ts.Simulation(scene, arch="cpu", precision=precision, threads=2, **own | {"driver": driver}) as sim,
         tempfile.TemporaryDirectory() as folder,
     ):
         start = sim.snapshot()
-        first = whole(sim, start, steps)
-        found = {f"{calls} calls": in_calls(sim, start, steps, calls) for calls in (1, 7, 50) if calls <= steps}
+        found = {"whole": whole(sim, start, steps)}
+        found |= {f"{calls} calls": in_calls(sim, start, steps, calls) for calls in (1, 7, 50) if calls <= steps}
         found |= {f"{fps} a second": in_frames(sim, start, steps, fps) for fps in (24, 30, 60)}
         moments = from_moments(sim, start, steps, 10, Path(folder) / "state.npz")
-        found |= {f"moment {k}": one for k, one in enumerate(moments)}
-    return [name for name, one in found.items() if one != first]
+        return found | {f"moment {k}": one for k, one in enumerate(moments)}
+
+
+def differences(build, precision):
+    """Ways of a run, in both drivers, that end with other bits than one in one call."""
+    found = {
+        (driver, way): one for driver in ("fused", "parallel") for way, one in ways(build, precision, driver).items()
+    }
+    return [key for key, one in found.items() if one != found["fused", "whole"]]
 
 
 if __name__ == "__main__":
@@ -152,11 +236,4 @@ if __name__ == "__main__":
         if len(sys.argv) == 1 or build.__name__ in sys.argv[1:]:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                for driver in ("fused", "parallel"):
-                    print(
-                        build.__name__,
-                        precision,
-                        driver,
-                        differences(build, precision, driver=driver) or "same",
-                        flush=True,
-                    )
+                print(build.__name__, precision, differences(build, precision) or "same", flush=True)
