@@ -36,6 +36,11 @@ class NoTaichi:
         pass
 
 
+class NoTime:
+    def accumulate(self, model, ball, impulse, h):
+        pass
+
+
 class Method(ts.Integrator):
     def __init__(self, method):
         self.method = method
@@ -69,6 +74,11 @@ class Silent(ts.Output):
     [
         ({"forces": [NoTaichi()]}, "forces: NoTaichi.accumulate is not a Taichi function; write @ti.func above it"),
         ({"forces": [NoTaichi]}, "forces: NoTaichi is a class; give an object, NoTaichi(...)"),
+        ({"forces": 3}, "forces: 3 is not allowed; it must be a list of forces"),
+        (
+            {"forces": [NoTime()]},
+            "forces: NoTime.accumulate takes (model, ball, impulse, h); it must take (model, ball, impulse, h, time)",
+        ),
         ({"forces": [object()]}, "forces: object has no function accumulate(model, ball, impulse, h, time)"),
         (
             {"forces": [Rod([[0, 1, 2]])]},

@@ -30,6 +30,7 @@ from typing import Any
 
 from taichi_sim.analysis.element_rates import declared_rates
 from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
@@ -172,9 +173,9 @@ class TotalForce:
 
 
 def checked_forces(scene: Scene, forces: Sequence[Any]) -> Sequence[Any]:
-    """The forces that a user hands in. Raises ValueError where something is not one, SceneError for corners of elements."""
+    """The forces that a user hands in. Raises SceneError where something is not one, and for corners of elements."""
     if not isinstance(forces, (list, tuple)):
-        raise ValueError(f"forces: {forces!r} is not allowed; it must be a list of forces")
+        raise SceneError("forces", forces, "a list of forces")
     for force in forces:
         if isinstance(force, Element):
             force.check(scene)

@@ -198,7 +198,7 @@ def test_a_run_whose_compilation_failed_is_right_once_it_is_mended(goes_on):
 
 
 def test_a_step_on_many_threads_compiles_the_search_for_contacts_once():
-    """What finds contacts and sums forces in a step also does so before the first one."""
+    """One kernel finds contacts and sums forces, in a step and before the first one."""
     scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
     scene.add_balls([[0.0, 0.15], [0.05, 0.45], [1.0, 0.2]], radius=0.12)
     scene.add_springs([(1, 2)], stiffness=40.0)

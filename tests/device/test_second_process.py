@@ -1,4 +1,4 @@
-"""What one process has compiled the next one finds, whatever either did before the engine was started."""
+"""A second process compiles nothing that a first one has compiled, whatever either did before the engine was started."""
 
 import os
 import subprocess

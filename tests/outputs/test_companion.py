@@ -92,7 +92,7 @@ def test_the_delay_of_impacts_of_balls_is_said_to_be_left_out():
 
 
 def stated_by_implicit_euler(dt):
-    """What is stated of the last, least and largest tension of all weights, and how far they are off, for 0.6 s."""
+    """Errors stated for the last, least and largest tension of all weights over 0.6 s, and the true ones."""
     with ts.Simulation(weights(), integrator="implicit_euler", dt=dt, substeps=1, contacts="off") as sim:
         summary = export(sim, None, fps=50, duration=0.6, error=True)
         t = np.arange(31)[:, None] / 50.0

@@ -5,7 +5,6 @@ import csv
 import json
 import re
 import sys
-from importlib import import_module
 from pathlib import Path
 from time import perf_counter
 
@@ -23,8 +22,6 @@ from taichi_sim.scene.document import document, fill
 from taichi_sim.scene.objects import named
 
 pytestmark = pytest.mark.once
-
-export_module = import_module("taichi_sim.outputs.export")
 
 FPS, FRAMES = 30.0, 5
 RED, BLUE, GREEN = (0.9, 0.2, 0.1), (0.2, 0.4, 0.9), (0.0, 1.0, 0.0)

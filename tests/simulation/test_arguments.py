@@ -101,26 +101,6 @@ def test_bad_durations_and_rates():
             list(sim.frames(fps=0, duration=1))
 
 
-def test_a_force_without_its_function():
-    with pytest.raises(ValueError, match=r"forces: .*accumulate"):
-        ts.Simulation(falling(), forces=[object()], dt=H)
-    with pytest.raises(ValueError, match=r"forces: .* it must be a list of forces"):
-        ts.Simulation(falling(), forces=object(), dt=H)
-
-    class Plain:
-        def accumulate(self, model, ball, impulse, h, time):
-            """Not for Taichi."""
-
-    class Short:
-        def accumulate(self, model, ball, impulse, h):
-            """Knows no time."""
-
-    with pytest.raises(ValueError, match=r"forces: Plain\.accumulate is not a Taichi function"):
-        ts.Simulation(falling(), forces=[Plain()], dt=H)
-    with pytest.raises(ValueError, match=r"Short\.accumulate takes \(model, ball, impulse, h\); it must take"):
-        ts.Simulation(falling(), forces=[Short()], dt=H)
-
-
 @pytest.mark.parametrize("state", [([1e13, 0.0], [0.0, 0.0]), ([0.0, 0.0], [0.0, 1e13])], ids=["position", "velocity"])
 def test_a_start_outside_the_world(state):
     with simulate(falling(), dt=H) as sim:

@@ -9,6 +9,7 @@ import taichi as ti
 from physics_support import EPS, PRECISION, each_dim, error, exact, simulate, vector
 
 import taichi_sim as ts
+from tests.support.drag import Drag
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -326,19 +327,6 @@ def test_nothing_and_everything_pinned():
 
 
 @ti.data_oriented
-class Drag:
-    """The example of forces/total.py."""
-
-    def __init__(self, coefficient):
-        self.coefficient = coefficient  # N s/m
-
-    @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
-        for i in range(model.n):
-            impulse[i] += -h * self.coefficient * ball[i].v
-
-
-@ti.data_oriented
 class Tide:
     """A force that depends on time."""
 
@@ -367,7 +355,7 @@ class Drift(ts.Integrator):
 def test_own_force(dim, driver):
     scene = falling(dim)
     scene.add_balls([vector(dim, 5.0)], radius=0.1, velocity=vector(dim, 2.0), mass=2.0)
-    with simulate(scene, ("ordered", driver), dt=H, forces=[Drag(3.0), Tide()]) as sim:
+    with simulate(scene, ("ordered", driver), dt=H, forces=[Drag(1.5), Tide()]) as sim:
         assert {"force.Drag", "force.Tide"} <= set(sim.kernels())
         sim.step(500)
         t, b = 0.5, 1.5  # m v' = -3 v + t with m = 2

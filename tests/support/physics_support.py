@@ -39,8 +39,6 @@ CONTACT_CASES = [
 ]
 
 each_dim = pytest.mark.parametrize("dim", DIMS, ids=["2d", "3d"])
-each_method = pytest.mark.parametrize("method", METHODS)
-each_variant = pytest.mark.parametrize("variant", VARIANTS, ids="-".join)
 each_extreme = pytest.mark.parametrize("variant", EXTREMES, ids="-".join)
 
 

@@ -19,24 +19,8 @@ import tempfile
 import time
 from pathlib import Path
 
-SCENE = """format = 1
-dim = 2
-gravity = [0.0, -10.0]
-[[materials]]
-name = "rubber"
-restitution = 0.5
-[[pile]]
-name = "heap"
-resolution = [6, 6]
-radius = 0.05
-position = [0.0, 0.1]
-material = "rubber"
-jitter = 0.1
-[[walls]]
-normal = [0.0, 1.0]
-[output]
-duration = 2.0
-"""
+from tests.support.sweep_scenes import heap_file
+
 POINTS = ("--vary", "materials.rubber.restitution=0.1:0.7:25", "--seeds", "4", "--measure", "energy.kinetic.max")
 BETWEEN = 5  # rows, from one killed worker to the next
 CHANGING = ("wall", "version")  # columns that differ from run to run
@@ -147,7 +131,7 @@ def main() -> int:
     chance = random.Random(given.seed)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        (root / "heap.toml").write_text(SCENE)
+        (root / "heap.toml").write_text(heap_file(6, 2.0))
         if start(root, "whole", 2).wait():
             raise RuntimeError("the undisturbed sweep failed")
         right = table(root / "whole")

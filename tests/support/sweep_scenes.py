@@ -9,6 +9,28 @@ import numpy as np
 import taichi_sim as ts
 
 
+def heap_file(side, duration):
+    """Text of a scene file: side x side balls over a floor, for so many seconds."""
+    return f"""format = 1
+dim = 2
+gravity = [0.0, -10.0]
+[[materials]]
+name = "rubber"
+restitution = 0.5
+[[pile]]
+name = "heap"
+resolution = [{side}, {side}]
+radius = 0.05
+position = [0.0, 0.1]
+material = "rubber"
+jitter = 0.1
+[[walls]]
+normal = [0.0, 1.0]
+[output]
+duration = {duration}
+"""
+
+
 def heap(restitution=0.5, friction=0.3, speed=0.0, seed=0):
     """Nine balls over a floor."""
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from physics_support import PRECISION
-from sweep_scenes import both, heap, hostile, mortal, slow, springs, top
+from sweep_scenes import both, heap, heap_file, hostile, mortal, slow, springs, top
 
 import taichi_sim as ts
 from taichi_sim.device.engine import IS_KNOWN
@@ -28,31 +28,21 @@ from taichi_sim.sweeps.subject import FileSubject, subject_of
 
 pytestmark = pytest.mark.once
 HERE = {"workers": 0, "precision": PRECISION}
-FILE = """
-format = 1
-dim = 2
-gravity = [0.0, -10.0]
-[[materials]]
-name = "rubber"
-restitution = 0.5
-[[pile]]
-name = "heap"
-resolution = [3, 3]
-radius = 0.05
-position = [0.0, 0.05]
-material = "rubber"
-jitter = 0.1
-[[walls]]
-normal = [0.0, 1.0]
-[output]
-duration = 0.1
-"""
+
+
+class Done(list):
+    """Dask's `as_completed`: futures in the order in which they were given."""
+
+    add = list.append
+
+    def __next__(self):
+        return self.pop(0)
 
 
 @pytest.fixture
 def file(tmp_path):
     path = tmp_path / "heap.toml"
-    path.write_text(FILE)
+    path.write_text(heap_file(3, 0.1))
     return path
 
 
@@ -481,12 +471,6 @@ def test_a_scheduler_that_is_lost_ends_a_sweep_in_a_sentence(monkeypatch, status
         def result(self):
             raise comm.CommClosedError("in <TCP>")
 
-    class Done(list):
-        add = list.append
-
-        def __next__(self):
-            return self.pop(0)
-
     class Client:
         status = "closed"
 
@@ -520,12 +504,6 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
 
         def exception(self):
             return distributed.KilledWorker("run_batch", None, 0)
-
-    class Done(list):
-        add = list.append
-
-        def __next__(self):
-            return self.pop(0)
 
     class Client:
         status = "running"

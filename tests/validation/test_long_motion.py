@@ -6,11 +6,9 @@ import reference as ref
 from physics_support import (
     F64,
     METHODS,
-    VARIANTS,
     each_dim,
     each_extreme,
     exact,
-    observe,
     simulate,
     vector,
 )
@@ -20,8 +18,6 @@ import taichi_sim as ts
 pytestmark = [pytest.mark.long_in("f32"), pytest.mark.slow_where(dim=2)]
 
 H = 1e-3
-ZETAS = (0.1, 0.5, 1.0, 3.0)
-CHAIN_N, CHAIN_M, CHAIN_K, CHAIN_L = 8, 0.5, 200.0, 0.25
 
 
 # Long runs ------------------------------------------------------------------------------------------------------------
@@ -86,44 +82,6 @@ def test_pendulum_period(dim, method):
     found = 2 * periods[1] - periods[0]
     tolerance = {"symplectic_euler": 1e-6, "verlet": 2e-7, "rk4": 2e-7}[method] if F64 else exact(round(T / h))
     assert abs(found / T - 1) < tolerance, f"T = {found:.9f} s, relative {found / T - 1:.2e}"
-
-
-@pytest.mark.slow
-@each_dim
-@pytest.mark.long_where(dim=2)
-def test_damped_chain_comes_to_its_stretch(dim):
-    scene = ts.Scene(dim=dim, gravity=(0.0, -9.81, 0.0)[:dim])
-    x = np.outer(np.arange(CHAIN_N + 1) * CHAIN_L, vector(dim, 0.0, -1.0))
-    b = scene.add_balls(x, radius=0.01, mass=CHAIN_M, pinned=[0])
-    scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=CHAIN_K, damping=20.0)
-    x, v = observe(scene, "verlet", VARIANTS[0], (40_000,))
-    stretch = -x[0, -1, 1] - CHAIN_N * CHAIN_L
-    expected = ref.chain_stretch(CHAIN_M, 9.81, CHAIN_N, CHAIN_K)
-    assert abs(stretch / expected - 1) < (1e-9 if F64 else 2e-5)
-    assert np.max(np.abs(v)) < (1e-9 if F64 else 1e-4)
-
-
-# Damped oscillator against the continuum ------------------------------------------------------------------------------
-
-
-@pytest.mark.slow_where(method="explicit_euler")
-@pytest.mark.parametrize("method", METHODS)
-@each_dim
-def test_damped_oscillators_against_the_continuum(dim, method):
-    """All zeta in one run at omega = 10: error at h = 1 ms below C h^order of the declared order."""
-    omega, t = 10.0, 0.5
-    scene = ts.Scene(dim=dim)
-    for zeta in ZETAS:
-        b = scene.add_balls([np.zeros(dim), vector(dim, 0.0, 0.5)], radius=0.01, pinned=[0])
-        scene.add_springs([b], stiffness=omega**2, damping=2 * zeta * omega, rest_length=0.0)
-    x, v = observe(scene, method, VARIANTS[0], (round(t / H),), contacts="off")
-    y = omega * H
-    bound = {"explicit_euler": 10 * y, "symplectic_euler": 10 * y, "verlet": 10 * y**2, "rk4": 1000 * y**4}[method]
-    bound = max(bound, 0.0 if F64 else exact(500))
-    for k, zeta in enumerate(ZETAS):
-        want_x, want_v = ref.damped_oscillator(t, omega, zeta, 0.5, 0.0)
-        found = np.hypot(x[0, 2 * k + 1, 1] - want_x, (v[0, 2 * k + 1, 1] - want_v) / omega) / 0.5
-        assert found < bound, f"zeta {zeta}: {found:.2e}"
 
 
 # Momentum -------------------------------------------------------------------------------------------------------------
