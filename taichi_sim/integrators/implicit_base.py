@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.fields import Fields
+from taichi_sim.device.fields import NUMPY_TYPES, Fields
 from taichi_sim.device.parts import PRIME, STEP, Part
 from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator, SolverStatistics
@@ -96,10 +96,12 @@ class Implicit(Integrator):
 
     def advance(self, number: int, h: float, time: float) -> None:
         """Advance by substep `number` of those of h seconds from `time` on, from the host, with loops that run in parallel."""
+        real: Any = NUMPY_TYPES[self.ball.v.dtype]
+        length = float(real(self.part) * real(h))  # of a stage, rounded as in kernels
         for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
             self._begin(stage, number, h, time)
             if self.solves:
-                self.launched.solve(self.part * h, stage)
+                self.launched.solve(length, stage)
             else:
                 self._launch_free()
             self._end(stage, h)

@@ -1,8 +1,8 @@
 """Shared parts of the published tests: a measured row, their check, and how scenes are refined.
 
-Each file `test_NAME.py` has a docstring (title; problem, formula, source and reference), `measure()`, which returns rows, and a
-test that holds them. `CHAOTIC` marks a mean of random starts, measured in single precision alone. `CAUSE` says why the program
-cannot pass yet; such a test is marked xfail, strictly.
+Each file has a docstring (title; problem, formula, source and reference) and `measure()`, which returns the rows that `test_all`
+holds. One that holds more than its rows, `test_NAME.py`, has tests of its own. `CHAOTIC` marks a mean of random starts, measured
+in single precision alone. `CAUSE` says why the program cannot pass yet; such a test is marked xfail, strictly.
 """
 
 from collections.abc import Callable, Iterator

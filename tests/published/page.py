@@ -8,6 +8,7 @@ from pathlib import Path
 from types import ModuleType
 
 FOLDER = Path(__file__).parent
+OTHERS = ("__main__", "common", "elasticity", "gas", "page", "test_all")  # files that measure nothing
 PAGE = FOLDER.parents[1] / "docs" / "published.md"
 HEAD = """# Published tests
 
@@ -24,9 +25,9 @@ precision, on the CPU. Each reference is a formula or an independent numerical s
 
 def modules(names: Iterable[str] = ()) -> dict[str, ModuleType]:
     """Test modules by name, those in `names` or all of them."""
-    found = sorted(file.stem.removeprefix("test_") for file in FOLDER.glob("test_*.py"))
-    chosen = [name for name in found if name in names] if names else found
-    return {name: import_module(f"tests.published.test_{name}") for name in chosen}
+    files = {file.stem.removeprefix("test_"): file.stem for file in FOLDER.glob("*.py") if file.stem not in OTHERS}
+    chosen = sorted(files.keys() & set(names) if names else files)
+    return {name: import_module(f"tests.published.{files[name]}") for name in chosen}
 
 
 def title_and_text(module: ModuleType) -> tuple[str, str]:
@@ -73,7 +74,8 @@ def page(measured: dict[str, dict[str, list[dict]]]) -> str:
         title, text = title_and_text(module)
         cause = getattr(module, "CAUSE", "")
         lines += ["", f"## {title}", "", text + (f" **Not met:** {cause}" if cause else "")]
-        lines += [f"([test_{name}.py](../tests/published/test_{name}.py))"]
+        file = Path(str(module.__file__)).name
+        lines += [f"([{file}](../tests/published/{file}))"]
     return "\n".join(lines) + "\n"
 
 

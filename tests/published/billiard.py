@@ -6,12 +6,9 @@ back.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.once
+from tests.published.common import Row, refined
 
 SIZE, RADIUS, END = np.array([1.0, 0.7]), 0.04, 100.0
 START, VELOCITY = np.array([0.3, 0.2]), np.array([7.3, 4.1])
@@ -50,7 +47,3 @@ def measure():
             Row("speed", "m/s", np.hypot(*VELOCITY), np.hypot(*sim.velocity[0]), 1e-5, settings=settings),
         ]
     return rows
-
-
-def test_place_after_many_bounces():
-    hold(measure())

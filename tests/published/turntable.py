@@ -7,12 +7,9 @@ circle stay.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, RADIUS, MU, TURN, END = 9.81, 0.04, 0.8, 90.0, 40.0  # TURN in degrees per second
 
@@ -45,7 +42,3 @@ def measure():
             Row("speed after 40 s, in that after 1 s", "", 1.0, speed[-1] / speed[0], 0.01, settings=settings),
         ]
     return rows
-
-
-def test_circles():
-    hold(measure())

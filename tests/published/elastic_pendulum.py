@@ -7,13 +7,10 @@ width, the time at which it is reached and the position after 8 s are compared.
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.once
+from tests.published.common import Row, refined
 
 G, MASS, REST, STIFFNESS = 9.81, 0.8, 0.6, 0.8 * 3 * 9.81 / 0.6  # k L0 = 3 m g: 1:2
 START, END = np.array([0.05, -1.0]), 8.0
@@ -56,7 +53,3 @@ def measure():
             Row("y after 8 s", "m", exact[1, -1], x[1, -1], 5e-3, settings=settings),
         ]
     return rows
-
-
-def test_energy_goes_from_bouncing_to_swinging():
-    hold(measure())

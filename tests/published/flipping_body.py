@@ -7,13 +7,10 @@ velocity is found from angular momentum and positions.
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, crossings, refined
 
 ARMS, MASS, STIFFNESS = np.array([0.5, 0.35, 0.2]), 0.5, 1e6  # m, kg, N/m
 MOMENTS = 2 * MASS * np.array([ARMS[1] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[1] ** 2])
@@ -60,7 +57,3 @@ def measure():
             Row("least rate of turn", "1/s", exact.min(), turn.min(), 0.01, settings=settings),
         ]
     return rows
-
-
-def test_flips():
-    hold(measure())

@@ -6,12 +6,9 @@ oscillations about a circular orbit, Goldstein, "Classical Mechanics", chapter 3
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, crossings, refined
 
 M1, M2, STIFFNESS, REST, RATE = 0.4, 1.6, 40.0, 0.5, 5.0
 REDUCED = M1 * M2 / (M1 + M2)
@@ -55,7 +52,3 @@ def measure():
             ),
         ]
     return rows
-
-
-def test_length_and_breathing():
-    hold(measure())

@@ -5,12 +5,9 @@ e) (Bernstein, American Journal of Physics 45, 1977, 41). Its n-th bounce rises 
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, RADIUS, HEIGHT, RESTITUTION = 9.81, 0.05, 0.8, 0.75
 
@@ -43,7 +40,3 @@ def measure():
         rest = np.sqrt(2 * HEIGHT / G) * (1 + RESTITUTION) / (1 - RESTITUTION)
         rows.append(Row("time of rest", "s", rest, last, 0.01, settings=settings))
     return rows
-
-
-def test_heights_and_rest():
-    hold(measure())

@@ -7,12 +7,9 @@ spin changes by 5/(2 r) of what u does.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 RADIUS, DOWN, E, MU = 0.1, 2.0, 0.7, 0.15
 ALONG = np.array([0.2, 1.0, 1.7, 1.9, 3.0, 6.0])  # m/s; 7/2 mu (1 + e) v is 1.785
@@ -45,7 +42,3 @@ def measure():
             )
         rows.append(Row("speed up", "m/s", E * DOWN, v[:, 1].mean(), 1e-4, settings=settings))
     return rows
-
-
-def test_bounces():
-    hold(measure())

@@ -7,12 +7,9 @@ mode's amplitude. Modes 1, 3 and 8 of 15 beads.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, crossings, refined
 
 BEADS, LENGTH, MASS, STIFFNESS, REST = 15, 1.6, 0.02, 400.0, 0.08
 MODES = (1, 3, 8)
@@ -46,7 +43,3 @@ def measure():
             found = 2 * np.pi * (len(through) - 1) / (through[-1] - through[0])
             rows.append(Row(f"angular frequency of mode {mode}", "1/s", exact[k], found, 2e-3, settings=settings))
     return rows
-
-
-def test_frequencies():
-    hold(measure())

@@ -6,13 +6,10 @@ K(sin(amplitude / 2)), K the complete elliptic integral of the first kind (Lima 
 """
 
 import numpy as np
-import pytest
 from scipy.special import ellipk
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, crossings, refined
 
 G, LENGTH, STIFFNESS, MASS = 9.81, 0.7, 2e6, 1.3
 AMPLITUDES = (30, 90, 150, 170)  # degrees
@@ -45,7 +42,3 @@ def measure():
             found = (through[-1] - through[0]) / (len(through) - 1)
             rows.append(Row(f"period from {amplitude} degrees", "s", exact, found, 1e-3, settings=settings))
     return rows
-
-
-def test_periods():
-    hold(measure())

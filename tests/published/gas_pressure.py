@@ -7,13 +7,11 @@ there. At the default step discs move a thirtieth of a radius.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import DEFAULTS, Row, hold
+from tests.published.common import DEFAULTS, Row
 from tests.published.gas import SEEDS, SPEED, box
 
-pytestmark = [pytest.mark.long, pytest.mark.once]
 CHAOTIC = True
 
 END = 12.0  # s
@@ -62,7 +60,3 @@ def measure():
         name, allowed = (DEFAULTS, 0.05) if finer == 1 else (f"dt / {finer}", 0.03)
         rows.append(Row(f"p / (n k T), share {filled:g}", "", exact, found, allowed, settings=name))
     return rows
-
-
-def test_pressure():
-    hold(measure())

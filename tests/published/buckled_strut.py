@@ -7,14 +7,11 @@ with the weights 1, -2, 1 and springs form the rod.
 """
 
 import numpy as np
-import pytest
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 import taichi_sim as ts
-from tests.published.common import DEFAULTS, Row, hold, relax
-
-pytestmark = pytest.mark.long
+from tests.published.common import DEFAULTS, Row, relax
 
 LENGTH, RIGIDITY, EXTENSION, MASS = 1.0, 0.01, 400.0, 0.1  # m, N m^2, N, kg
 NEARER = 0.1
@@ -57,7 +54,3 @@ def measure():
             Row("thrust", "N", 4 * whole**2 * RIGIDITY / LENGTH**2, thrust, 0.01, settings=settings),
         ]
     return rows
-
-
-def test_shape_and_thrust():
-    hold(measure())

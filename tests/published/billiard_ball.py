@@ -6,12 +6,9 @@ mathematique des effets du jeu de billard", 1835).
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, history, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, history, refined
 
 G, RADIUS, SPEED, MU = 9.81, 0.03, 1.4, 0.2
 
@@ -40,7 +37,3 @@ def measure():
             Row("way, 1.5 of this time", "m", way, sim.position[0, 0], 2e-3, settings=settings),
         ]
     return rows
-
-
-def test_slides_then_rolls():
-    hold(measure())

@@ -10,12 +10,10 @@ mean of four starts.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import DEFAULTS, Row, hold
+from tests.published.common import DEFAULTS, Row
 
-pytestmark = [pytest.mark.long, pytest.mark.once]
 CHAOTIC = True
 
 G, RADIUS, WIDTH, ROWS, COLUMNS = 9.81, 0.01, 0.8, 42, 36
@@ -81,7 +79,3 @@ def measure():
             settings=DEFAULTS,
         ),
     ]
-
-
-def test_flow():
-    hold(measure())

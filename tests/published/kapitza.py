@@ -7,13 +7,10 @@ slower pivot it falls.
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, crossings, refined
 
 G, LENGTH, MASS, STIFFNESS, DAMPING = 9.81, 0.5, 0.2, 2e6, 20.0
 SWING, PER_SECOND, POINTS = 0.04, 25, 40  # m, swings of the pivot per second, keyframes for each
@@ -72,7 +69,3 @@ def smooth(time, angle):
     """The angle averaged over a swing of the pivot."""
     count = round(1 / PER_SECOND / (time[1] - time[0]))
     return np.convolve(angle, np.full(count, 1 / count), mode="same")
-
-
-def test_stands_upside_down():
-    hold(measure())

@@ -6,13 +6,10 @@ are pairs of balls on a stiff spring, which cannot roll; their middle is compare
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, RADIUS, MU, TURN, END = 9.81, 0.005, 0.4, 200.0, 1.0  # TURN in degrees per second
 RATE = np.radians(TURN)
@@ -62,7 +59,3 @@ def measure():
             found, name = np.hypot(middle[k, 0], middle[k, 2]), f"distance, started at {part:g} of the limit"
             rows.append(Row(name, "m", reference(part), found, 0.01, settings=settings))
     return rows
-
-
-def test_stays_or_slides():
-    hold(measure())

@@ -7,13 +7,10 @@ dV/dR, integrated by SciPy with a tolerance of 1e-12.
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, crossings, refined
 
 RADIUS, PRESSURE, MASS, NARROWER, END = 0.3, 50.0, 0.4, 0.8, 2.0
 
@@ -54,7 +51,3 @@ def measure():
             Row("period", "s", *periods, 2e-3, settings=settings),
         ]
     return rows
-
-
-def test_breathing():
-    hold(measure())

@@ -6,12 +6,9 @@ m g / k. So turning points come nearer by 2 mu m g / k, until one lies within mu
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, MASS, STIFFNESS, MU, START, RADIUS = 9.81, 0.5, 80.0, 0.12, 0.1, 0.02
 SHIFT = MU * MASS * G / STIFFNESS
@@ -57,7 +54,3 @@ def measure():
             Row("time of rest", "s", rest, still, 0.02, settings=settings),
         ]
     return rows
-
-
-def test_turning_points():
-    hold(measure())

@@ -7,13 +7,10 @@ integral over the polar angle; the equation of motion of a rigid pendulum, integ
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, LENGTH, MASS, STIFFNESS = 9.81, 0.9, 0.6, 1e6
 OUT, ASIDE = np.radians(50.0), 0.8  # rad, m/s across
@@ -68,7 +65,3 @@ def measure():
             Row("precession", "rad", angle - np.pi, np.diff(angles).mean() - np.pi, 5e-3, settings=settings),
         ]
     return rows
-
-
-def test_precession():
-    hold(measure())

@@ -6,12 +6,9 @@ is linear: its exact motion follows from the eigenvectors of its stiffness matri
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.once
+from tests.published.common import Row, refined
 
 G, N, MASS, STIFFNESS = 9.81, 60, 0.3, 1.2  # balls; kg and N/m of the whole
 M, K = MASS / N, STIFFNESS * (N - 1)
@@ -54,7 +51,3 @@ def measure():
                     )
                 )
     return rows
-
-
-def test_lower_end_waits():
-    hold(measure())

@@ -6,12 +6,9 @@ they move with (m1 - m2 e^(mu pi)) / (m1 + m2 e^(mu pi)) g, and stay where m1 < 
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, BAR, MU, HEAVY, LIGHT = 9.81, 0.25, 0.2, 2.0, 0.8
 COUNT, RADIUS, STIFFNESS, LENGTH = 81, 0.004, 4e4, 2.4  # balls of the rope, m, N/m, m
@@ -56,7 +53,3 @@ def measure():
                 Row(f"acceleration, {name}", "m/s^2", wanted, found, 0.02, scale=wanted or G, settings=settings)
             )
     return rows
-
-
-def test_accelerations():
-    hold(measure())

@@ -7,12 +7,9 @@ with equal masses the row is Newton's cradle.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 COUNT, SPEED, RADIUS, GAP = 7, 1.7, 0.05, 0.02
 MASSES = {"64 to 1": 2.0 ** np.arange(COUNT - 1, -1, -1), "equal": np.ones(COUNT)}
@@ -44,7 +41,3 @@ def measure():
             )
         rows.append(Row("energy", "J", energy, sim.energy().total, 1e-4, settings=settings))
     return rows
-
-
-def test_last_ball():
-    hold(measure())

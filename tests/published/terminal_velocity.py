@@ -7,12 +7,9 @@ flat.
 """
 
 import numpy as np
-import pytest
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, MASS, SIDE, DENSITY, DRAG = 9.81, 0.12, 0.4, 1.2, 1.17
 AREA = 1.5 * np.sqrt(3) * SIDE**2
@@ -42,7 +39,3 @@ def measure():
             found = -sim.momentum()[1] / MASS
             rows.append(Row(f"speed after {name}", "m/s", exact, found, 2e-3, settings=settings))
     return rows
-
-
-def test_speed_of_fall():
-    hold(measure())

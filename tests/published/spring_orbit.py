@@ -6,14 +6,11 @@ r2, where p is the radial momentum (Landau and Lifshitz, "Mechanics", section 14
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 MASS, REST, STIFFNESS = 0.5, 0.4, 20.0
 FAR, SPEED = 1.0, 1.5  # m, m/s at the farthest point, across
@@ -71,7 +68,3 @@ def measure():
             Row("apsidal angle", "rad", angle, np.diff(angles).mean(), 1e-3, settings=settings),
         ]
     return rows
-
-
-def test_orbit_precesses():
-    hold(measure())

@@ -6,13 +6,11 @@ the share is that of the middle of the heap, from the area of discs cut by the w
 """
 
 import numpy as np
-import pytest
 from scipy.spatial import cKDTree
 
 import taichi_sim as ts
-from tests.published.common import DEFAULTS, Row, hold
+from tests.published.common import DEFAULTS, Row
 
-pytestmark = [pytest.mark.long, pytest.mark.once]
 CHAOTIC = True
 
 G, RADIUS, COLUMNS, ROWS = 9.81, 0.01, 24, 24
@@ -59,7 +57,3 @@ def measure():
         Row("share of the area", "", 0.841, np.mean(shares), 0.02, settings=DEFAULTS),
         Row("largest overlap, in radii", "", 0.0, np.max(overlaps), 0.05, scale=1.0, settings=DEFAULTS),
     ]
-
-
-def test_share():
-    hold(measure())

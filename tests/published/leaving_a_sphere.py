@@ -6,13 +6,10 @@ SciPy integrates its speed and spin up to there (tolerance 1e-9).
 """
 
 import numpy as np
-import pytest
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, hold, refined
-
-pytestmark = pytest.mark.long
+from tests.published.common import Row, refined
 
 G, LARGE, SMALL, PUSH = 9.81, 1.0, 0.1, 0.15
 
@@ -62,7 +59,3 @@ def measure():
                 angle = np.cbrt(found**2 / (G * distance))
                 rows.append(Row(f"cosine of the angle, {name}", "", cosine, angle, 5e-3, settings=settings))
     return rows
-
-
-def test_leaves():
-    hold(measure())
