@@ -70,7 +70,7 @@ def page(measured: dict[str, dict[str, list[dict]]]) -> str:
                 percent(twice[0]["error"]) if twice else "",
             )
             lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    for name, module in modules().items():
+    for module in modules().values():
         title, text = title_and_text(module)
         cause = getattr(module, "CAUSE", "")
         lines += ["", f"## {title}", "", text + (f" **Not met:** {cause}" if cause else "")]

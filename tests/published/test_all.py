@@ -18,6 +18,6 @@ def cases():
             yield pytest.param(module, id=name, marks=marks)
 
 
-@pytest.mark.parametrize("module", cases())
+@pytest.mark.parametrize("module", list(cases()))
 def test_published(module):
     hold(list(module.measure()))
