@@ -353,19 +353,6 @@ def test_a_tolerance_out_of_range_is_refused():
 
 
 @pytest.mark.slow
-def test_small_steps_keep_single_precision():
-    """A sheet at ten times smaller steps is no further from its end than at larger ones: velocities are no differences."""
-    scene, x = hanging_sheet(6, 6, 100.0, 600)
-    e = []
-    for n in (300, 3000, 30000):
-        with simulate(scene, integrator="xpbd", dt=0.3 / n, contacts="off") as sim:
-            sim.step(n)
-            e.append(float(np.sqrt(np.mean((sim.position - x) ** 2))))
-    assert e[1] < 0.2 * e[0]
-    assert e[2] < 0.3 * e[1]
-
-
-@pytest.mark.slow
 def test_patches_save_passes(monkeypatch):
     """Aggregates condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))

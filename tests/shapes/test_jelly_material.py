@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from scene_files import assert_unchanged
 from statics import at_rest
 
 from taichi_sim import Scene, SceneError, shapes
@@ -262,10 +263,7 @@ REFUSED = [
 
 @pytest.mark.parametrize(("arguments", "message"), REFUSED, ids=[message for _, message in REFUSED])
 def test_refused_and_the_scene_unchanged(arguments, message):
-    scene = Scene(dim=3)
-    with pytest.raises(SceneError, match=message):
-        shapes.jelly(scene, **arguments)
-    assert scene.n_balls == scene.n_springs == len(scene.cells) == 0
+    assert_unchanged(Scene(dim=3), lambda scene: shapes.jelly(scene, **arguments), message)
 
 
 def test_cloth_of_a_mesh_that_is_no_sheet_is_reported():

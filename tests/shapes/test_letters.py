@@ -1,9 +1,11 @@
 """Text and drawings: outlines, their triangles, and the bodies that are made of them."""
 
+import re
 import sys
 
 import numpy as np
 import pytest
+from scene_files import assert_unchanged
 
 import taichi_sim as ts
 from taichi_sim.geometry import mesh as meshes
@@ -205,11 +207,7 @@ OPEN = DRAWING.replace("H0 Z M5", "H0 M5")
     ],
 )  # fmt: skip
 def test_what_is_refused_leaves_the_scene_as_it_was(given, message):
-    scene = ts.Scene(dim=3)
-    with pytest.raises(ts.SceneError) as caught:
-        ts.shapes.text(scene, **given)
-    assert str(caught.value).startswith(message)
-    assert (scene.n_balls, len(scene.materials), len(scene.colliders)) == (0, 1, 0)
+    assert_unchanged(ts.Scene(dim=3), lambda scene: ts.shapes.text(scene, **given), f"^{re.escape(message)}")
 
 
 @pytest.mark.parametrize(
