@@ -20,9 +20,11 @@ from physics_support import (
     VARIANTS,
     as_stored,
     discrete,
+    each_dim,
     error,
     exact,
     observe,
+    simulate,
     transfer,
     vector,
 )
@@ -207,6 +209,27 @@ def test_rk4_amplification():
     assert abs(found / expected - 1) < exact(steps)
 
 
+@pytest.mark.long_in("f32")
+@pytest.mark.slow_where(dim=2)
+@each_dim
+@pytest.mark.parametrize("method", ["symplectic_euler", "verlet"])
+def test_modified_energy_over_1e5_steps(dim, method):
+    omega, h = 20.0, 0.01
+    scene = ts.Scene(dim=dim)
+    b = scene.add_balls(
+        [np.zeros(dim), vector(dim, 0.5)], radius=0.01, velocity=[np.zeros(dim), vector(dim, 2.0)], pinned=[0]
+    )
+    scene.add_springs([b], stiffness=omega**2, rest_length=0.0)
+    start = ref.modified_energy(method, 0.5, 2.0, omega, h)
+    worst = 0.0
+    with simulate(scene, integrator=method, dt=h, contacts="off") as sim:
+        for _ in range(100):
+            sim.step(1000)
+            now = ref.modified_energy(method, sim.position[1, 0], sim.velocity[1, 0], omega, h)
+            worst = max(worst, abs(float(now / start) - 1.0))
+    assert worst < (1e-12 if F64 else 2e-4), f"drift {worst:.2e}"
+
+
 # Under gravity: free balls, bodies, a chain, a random network ---------------------------------------------------------
 
 CHAIN_N, CHAIN_M, CHAIN_K, CHAIN_L = 8, 0.5, 200.0, 0.25
@@ -279,11 +302,18 @@ def test_free_fall(falling):
 
 
 def test_centre_of_mass_falls_as_one_ball(falling):
+    """The body keeps its angular momentum about it, too."""
     scene, b = falling.scene, falling.at.body
     m = scene.mass[b] / scene.mass[b].sum()
     x, v = ref.free_fall(falling.method, m @ scene.position[b], m @ scene.velocity[b], scene.gravity, H, 1000)
     found = max(error(m @ falling.x[1, b], x), error(m @ falling.v[1, b], v))
     assert found < exact(1000), f"relative error {found:.2e}"
+    if falling.method in ("symplectic_euler", "verlet"):  # the others keep it to the order of their step only
+        turning = [
+            ref.angular_momentum(m, x - m @ x, v - m @ v)
+            for x, v in ((scene.position[b], scene.velocity[b]), (falling.x[1, b], falling.v[1, b]))
+        ]
+        assert error(turning[1], turning[0], 1.0) < exact(1000)
 
 
 def test_vertical_chain_stretch(falling):

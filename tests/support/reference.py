@@ -63,14 +63,6 @@ def rotating_pair_length(rest: float, mu: float, angular_speed: float, k: float)
     return rest / (1.0 - mu * angular_speed**2 / k)
 
 
-def pendulum_period(L: float, g: float, amplitude: float = np.pi / 2) -> float:
-    """2 pi sqrt(L/g) / AGM(1, cos(amplitude / 2)), exact at any amplitude of a rigid pendulum [s]."""
-    a, b = 1.0, float(np.cos(amplitude / 2))
-    for _ in range(40):  # doubles its correct digits each time
-        a, b = (a + b) / 2, float(np.sqrt(a * b))
-    return float(2 * np.pi * np.sqrt(L / g) / a)
-
-
 def chain_stretch(m: float, g: float, n: int, k: float) -> float:
     """m g N (N + 1) / (2 k): how much a chain of N balls on N springs, hung at its top, is longer at rest [m]."""
     return m * g * n * (n + 1) / (2 * k)
