@@ -10,9 +10,7 @@ from physics_sticks import CROWD_STEPS, STICK_CASES, stick_run
 from physics_support import (
     CONTACT_CASES,
     EPS,
-    EXTREMES,
     F64,
-    METHODS,
     each_dim,
     record,
     simulate,
@@ -208,45 +206,6 @@ def test_a_dense_crowd_never_gains_energy(dim, method, mu):
         size = float(m[b] @ np.linalg.norm(v[0, b], axis=1))
         assert np.max(np.abs(change)) < (1e-13 if F64 else 1e-13 * 2.0**29) * size * np.sqrt(steps)
     assert max(gains.values()) < (1e-12 if F64 else 1e-5), f"one step gains, by restitution: {gains}"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("method", METHODS)
-def test_an_elastic_gas_in_a_box_keeps_its_energy(method):
-    """64 discs that fill 0.4 of a box, a ninth of a radius a step: half of the energy went when passes were too few."""
-    scene = ts.Scene(dim=2)
-    scene.add_material("ideal", restitution=1.0)
-    i, j = np.divmod(np.arange(64), 8)
-    v = 10.0 * np.random.default_rng(0).normal(size=(64, 2))
-    scene.add_balls(np.stack([i, j], axis=1) * (1.6 / 7) - 0.8, radius=0.09, velocity=v, material="ideal")
-    for normal in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        scene.add_wall(normal, -1.0, "ideal")
-    with simulate(scene, integrator=method, dt=H) as sim:
-        start = sim.energy().total
-        for _ in range(6):
-            sim.step(100)
-            assert 0.99 * start < sim.energy().total < (1 + (1e-9 if F64 else 1e-4)) * start
-        assert np.all(np.abs(sim.position) < 1.0)
-
-
-@pytest.mark.parametrize("variant", [EXTREMES[0], pytest.param(EXTREMES[1], marks=pytest.mark.long)], ids="-".join)
-@each_dim
-@pytest.mark.slow
-@pytest.mark.long_where(dim=2)
-def test_stack_of_10(dim, variant):
-    """Stands 3 s: overlaps below the slop and 1 % of the radius, still, and the floor's ball feels the whole weight."""
-    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
-    scene.add_wall(vector(dim, 0.0, 1.0))
-    scene.add_balls([vector(dim, 0.0, (2 * k + 1) * R) for k in range(10)], radius=R)
-    with simulate(scene, variant, dt=H) as sim:
-        sim.step(2000)
-        assert sim.penetration() < 0.02 * R, f"{sim.penetration() / R:.4f} r"
-        x, speed = sim.position, np.max(np.abs(sim.velocity))
-        assert speed < 2 * G * H, f"{speed:.2e} m/s"
-        sim.step(1000)
-        drift = np.max(np.abs(sim.position - x))
-        assert drift < 1e-3 * R, f"{drift / R:.2e} r"
-        assert sim.penetration() < 0.02 * R
 
 
 # Sticks ---------------------------------------------------------------------------------------------------------------
