@@ -11,19 +11,12 @@ pytestmark = pytest.mark.long_in("f32")
 QUICK = (("everything pinned", 2), ("empty scene", 2), ("corner of three walls", 2), ("negative coordinates", 1))
 CASES = {case.name: case for case in contact_cases.CASES}
 SPRINGS = {case.name: case for case in spring_cases.CASES}
-QUICK_SPRINGS = {
-    "K h^2 = 1e6": ("explicit_euler", "symplectic_euler", "verlet", "rk4", "xpbd"),
-    "C h = 1e6": ("verlet", "tr_bdf2"),
-    "chain of 20, the last 1e4 times heavier": ("implicit_euler", "xpbd"),
-}
 MISSED = {  # by rule and precision: what is known to be beyond the bound, and how far at most
     ("pack with e = 1 hits the floor", "gauss_seidel", "f32"): (
         1e-4,
         "of its energy: docs/physics.md, Impacts in turn",
     ),
 }
-REFUSED = {("K h^2 = 1e6", method) for method in ("explicit_euler", "symplectic_euler", "verlet", "rk4")}
-REFUSED |= {("chain of 20, the last 1e4 times heavier", "xpbd")}
 
 
 @pytest.mark.slow
@@ -33,17 +26,6 @@ def test_quick_hard_cases():
         for contacts in contact_cases.RULES[:rules]:
             verdict = verdicts.judge(CASES[name], contacts, short=True)
             assert verdict.passed, f"{name}, {contacts}: {verdict.figure:.3g} {verdict.words}"
-
-
-@pytest.mark.long
-def test_quick_hard_cases_of_springs():
-    """Each of the quick ones, in its short form: explicit methods say which step is safe, the others go on."""
-    for name, methods in QUICK_SPRINGS.items():
-        for method in methods:
-            verdict = verdicts.judge(SPRINGS[name], method, short=True)
-            assert verdict.passed or verdict.refused, f"{name}, {method}: {verdict.figure:.3g} {verdict.words}"
-            assert verdict.refused == ((name, method) in REFUSED), f"{name}, {method}: {verdict.words}"
-            assert "safe" in verdict.words or "shorter steps" in verdict.words or not verdict.refused
 
 
 def test_an_error_before_the_first_step_refuses():
@@ -99,6 +81,7 @@ def test_hard_case(name, contacts):
 @pytest.mark.parametrize("method", spring_cases.METHODS)
 @pytest.mark.parametrize("name", SPRINGS)
 def test_hard_case_of_springs(name, method):
-    """In its short form: passed, or refused before the first step. Each case passes with TR-BDF2."""
+    """In its short form: passed, or refused before the first step, with a step to take. Each case passes with TR-BDF2."""
     verdict = verdicts.judge(SPRINGS[name], method, short=True)
     assert verdict.passed or (verdict.refused and method != "tr_bdf2"), f"{verdict.figure:.3g} {verdict.words}"
+    assert not verdict.refused or any(word in verdict.words for word in ("safe", "shorter steps", "or steps of"))
