@@ -98,6 +98,7 @@ def drum():
 def crowd_of_unequal_masses():
     scene = bits._crowd(2, 30, seed=6)
     scene.set_balls(mass=10.0 ** np.random.default_rng(6).uniform(-1.5, 1.5, 30))
+    scene.add_probe("floor", "impulse", wall=1)
     return scene, {"dt": 1e-3}
 
 
@@ -141,8 +142,8 @@ def steps_of(settings):
 
 
 def digest(sim):
-    """SHA-256 of positions, velocities and spin, of what has torn, and of the error that was found."""
-    arrays = (sim.position, sim.velocity, sim.angular_velocity)
+    """SHA-256 of positions, velocities, spin and probed impulses, of what has torn, and of the error that was found."""
+    arrays = (sim.position, sim.velocity, sim.angular_velocity, sim.parts.impulses())
     said = repr((None if sim.torn is None else sim.torn.tolist(), sim.error()))
     return hashlib.sha256(b"".join(one.tobytes() for one in arrays) + said.encode()).hexdigest()
 
