@@ -11,7 +11,7 @@ from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
 
-QUICK = {"led_by_pins", "network_rk4", "motors_verlet"}
+QUICK = {"led_by_pins", "motors_verlet"}
 SLOWER = {"tearing_in_wind"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]
