@@ -188,7 +188,7 @@ def may_shift(solver: ti.template(), ball: ti.template(), i, c, shift):
 def overlap(solver: ti.template(), ball: ti.template(), i, j):
     """True if balls i and j overlap."""
     r, reach = ball[j].x - ball[i].x, solver.model.radius[i] + solver.model.radius[j]
-    return r.dot(r) < reach * reach
+    return r.dot(r) < (reach * 0.999) ** 2
 
 
 @ti.func
@@ -197,8 +197,9 @@ def impacts_of_ball(solver: ti.template(), ball: ti.template(), i, now, time):
     bounced = 0
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
+        j = solver.pairs.link[c].other
+        measure_again(solver, ball, i, j, c)
         if solver.pairs.contact[c].depth > 0.0:
-            j = solver.pairs.link[c].other
             n = solver.pairs.contact[c].normal
             closing = contact_law.closing_speed((ball[j].v - ball[i].v).dot(n), approach_from_forces(solver, i, j, n))
             if closing > solver.threshold[0]:

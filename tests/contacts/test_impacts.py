@@ -137,6 +137,32 @@ def test_pairs_part_as_they_touched(dim, restitution, friction):
         assert error(sim.angular_momentum(), turning, 25 * 25 * 12.0) < (1e-14 if F64 else 1e-6)
 
 
+@each_dim
+@pytest.mark.parametrize("restitution", [1.0, 0.8])
+def test_an_impact_runs_through_a_row_that_touches(dim, restitution):
+    """Rows on a floor that touch but for rounding, hit at one end: each ball passes (1 + e) / 2 of its speed on, wherever within
+    a step the first is hit."""
+    length, radius, number, rng = 7, 0.06, 20, np.random.default_rng(8)
+    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -6.0))
+    scene.add_material("m", restitution=restitution)
+    scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "m")
+    speed, gap = rng.uniform(0.7, 2.8, number), rng.uniform(0.4, 1.4, number)
+    for k in range(number):
+        x, v = np.zeros((length, dim)), np.zeros((length, dim))
+        x[:, 0], x[:, 1] = 2.0 * radius * np.arange(length), radius
+        x[0, 0] -= gap[k] * radius
+        x[:, 0] += 1.6 * (k - number / 2)
+        v[0, 0] = speed[k]
+        scene.add_balls(x, radius=radius, velocity=v, material="m")
+    with simulate(scene, dt=1e-3) as sim:
+        sim.run(0.16)
+        along = sim.velocity[:, 0].reshape(number, length)
+    last = ((1.0 + restitution) / 2.0) ** (length - 1) * speed
+    assert error(along[:, -1], last, 1.0) < (1e-12 if F64 else 1e-5)
+    if restitution == 1.0:
+        assert error((along**2).sum(axis=1), speed**2, 1.0) < (1e-12 if F64 else 1e-5)
+
+
 @pytest.mark.slow
 def test_heights_above_a_pinned_ball():
     """A bounce found late, up to 8 mm deep in the pinned ball, gives the height of one at the moment of touch."""
