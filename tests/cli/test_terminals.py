@@ -115,7 +115,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 always looks there")
 def test_the_package_as_a_command_takes_no_modules_from_the_working_folder(tmp_path):
     for name in ("typer", "random", "numpy", "tempfile"):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'taken')!r}, 'w').close()\n")
