@@ -4,6 +4,7 @@ elsewhere, in Python 3.10 either, which has no PYTHONSAFEPATH."""
 import os
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 __all__ = ["OWN_MODULES", "own_command", "settle_children"]
 
@@ -25,8 +26,8 @@ def settle_children() -> None:
 
         start = util.spawnv_passfds
 
-        def spawn(path: bytes, words: Sequence[str], descriptors: Sequence[int]) -> int:
-            code = words.index("-c") + 1
-            return start(path, [*words[:code], OWN_MODULES + words[code], *words[code + 1 :]], descriptors)
+        def spawn(path: bytes, args: Sequence[Any], passfds: Sequence[int]) -> int:
+            code = args.index("-c") + 1
+            return start(path, [*args[:code], OWN_MODULES + args[code], *args[code + 1 :]], passfds)
 
         util.spawnv_passfds = spawn
