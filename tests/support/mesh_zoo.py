@@ -348,7 +348,7 @@ def ply_cases():
         ("beyond", data.replace(b"4 3 2 1 0", b"4 3 2 1 8"), r"has face 0 \(from 0\) of vertices"),
         (
             "a splat",
-            data[: data.index(b"element face")].replace(b"float x", b"float f_dc_0") + b"end_header\n",
+            data[: data.index(b"element face")].replace(b"float x", b"float f_dc_0") + b"end_header\n" + b"0 0 0\n" * 8,
             "has no",
         ),
         ("a negative count", data.replace(b"vertex 8", b"vertex -8"), "'-8' is not the number of rows"),
