@@ -189,5 +189,5 @@ def plain_errors() -> Iterator[None]:
 
 def fail(message: str, status: int) -> None:
     """End with one line."""
-    echo(f"taichi-sim: {message}", err=True)
+    echo(f"taichi-sim: {message}".replace("\n", "\\n"), err=True)
     raise typer.Exit(status)

@@ -598,3 +598,16 @@ def test_usd_loads_its_libraries_before_another_output_has_a_thread(tmp_path):
     done = subprocess.run([sys.executable, "-c", LOADS], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
     assert (tmp_path / "x.usda").is_file()
+
+
+@pytest.mark.parametrize("end", ["finish", "discard"])
+@pytest.mark.parametrize("name", ["x.mp4", "x.gif", "x.npz", "frames/", "x.csv", "x.pvd", "x.ply"])
+def test_what_has_ended_takes_no_more_frames(tmp_path, name, end):
+    """It said nothing, and left parts of files."""
+    output, frame, image = open_output(f"{tmp_path}/{name}"), FakeSimulation().frame(), np.zeros((48, 64, 3), np.uint8)
+    getattr(output, end)()
+    before = {path for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(ValueError, match=r"was finished or discarded, and takes no more frames; open it anew$"):
+        output.write(0, frame, image if output.needs_image else None)
+    output.discard()
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == before
