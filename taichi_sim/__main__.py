@@ -1,6 +1,5 @@
 """`python -m taichi_sim`, and where the taichi-sim command starts."""
 
-import os
 import sys
 
 __all__ = ["main"]
@@ -11,11 +10,11 @@ if __name__ == "__main__" and not getattr(sys.flags, "safe_path", False):  # Pyt
 
 def main() -> None:
     """Run the command; whoever interrupts what it loads gets no traceback."""
+    from taichi_sim.common.own_modules import settle_children
     from taichi_sim.common.printable import settle_streams
 
     settle_streams()
-    # processes that this one starts take no modules from the working folder, which may be that of a scene from elsewhere
-    os.environ.setdefault("PYTHONSAFEPATH", "1")
+    settle_children()
     try:
         from taichi_sim.cli.main import main as run
     except KeyboardInterrupt:

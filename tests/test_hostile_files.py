@@ -148,9 +148,10 @@ def zigzag(corners):
             "cross each other",
         ),
         ("".join(f'<rect x="{2 * x}" width="1" height="1"/>' for x in range(301)), "has more than 300 filled paths"),
-        ("<g>" * 20_000 + SQUARE + "</g>" * 20_000, "cannot be read as SVG"),
+        ("<g>" * 20_000 + SQUARE + "</g>" * 20_000, "cannot be read as SVG: its groups are too deep"),
+        ('<path d="M0 0 A 0 1 0 1 1 5 5 z"/>', "shows nothing that has an area"),
     ],
-    ids=["uses", "circle", "zigzag", "curves", "stripes", "paths", "deep"],
+    ids=["uses", "circle", "zigzag", "curves", "stripes", "paths", "deep", "a line as an area"],
 )
 def test_a_drawing_is_bounded_before_it_is_made(tmp_path, monkeypatch, drawing, message):
     monkeypatch.setattr(outlines, "MOST_PATHS", 300)
@@ -169,6 +170,30 @@ def test_a_drawing_of_many_parts_is_drawn(tmp_path):
 
 
 # Names -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["a\nend_header\n", "a\tb", "\x1b[2J", "a\u202eb", "\ud800"])
+def test_a_name_is_one_line_without_control_characters(name):
+    """It stands in the heads of PLY, OBJ and VTK files, and in messages."""
+    scene = ts.Scene(dim=3)
+    balls = scene.add_balls([[0.0, 0.0, 0.0]], radius=0.1)
+    for give in (
+        lambda: scene.set_name(balls, name),
+        lambda: scene.add_material(name),
+        lambda: scene.add_collider(ts.Sphere((0.0, 0.0, 0.0), 1.0, name=name)),
+    ):
+        with pytest.raises(
+            ts.SceneError, match=r"name: .* is not allowed; it must be a text in one line, without"
+        ) as caught:
+            give()
+        assert "\n" not in str(caught.value)
+    scene.set_name(balls, "Bälle ☃\u202f1 <b>&")
+
+
+def test_a_key_of_any_length_is_cut_off_in_its_message(tmp_path):
+    with pytest.raises(ts.SceneError, match=r"kkk\.\.\.: is not a known key") as caught:
+        ts.load_scene(written(tmp_path, HEAD + f'"{"k" * 100_000}" = 1\n'))
+    assert len(str(caught.value)) < 600
 
 
 @pytest.mark.parametrize("name", ["$x_{$", "a$", r"$\$x^{$", "${", "$$"])

@@ -12,7 +12,7 @@ import typer
 from taichi_sim.cli.options import paths_and_values, pixels, positive, share, step
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import BackendError, UnstableError
-from taichi_sim.common.printable import printable
+from taichi_sim.common.printable import lead_nowhere, printable
 from taichi_sim.common.progress import log_to
 from taichi_sim.common.signals import ENDED, INTERRUPTED, insistent_signals, leave
 from taichi_sim.common.version import __version__
@@ -145,10 +145,13 @@ def waiting(what: str, shown: bool) -> Iterator[None]:
 
 
 def echo(text: str, err: bool = False) -> None:
-    """A line on standard output or standard error, without control sequences that names in it may hold. Raises OSError where
-    standard output cannot be written."""
+    """A line on standard output or standard error, without control sequences that names in it may hold. Where whoever read has
+    gone, as after `| head`, the work goes on unread. Raises OSError where standard output cannot be written."""
     with suppress(OSError) if err else naming("standard output"):  # of errors that nobody reads nothing can be said
-        typer.echo(printable(text), err=err)
+        try:
+            typer.echo(printable(text), err=err)
+        except BrokenPipeError:
+            lead_nowhere(sys.stderr if err else sys.stdout)
 
 
 def say_nothing(line: str) -> None:
@@ -165,7 +168,7 @@ def plain_errors() -> Iterator[None]:
             yield
     except UnstableError as error:
         fail(str(error), UNSTABLE)
-    except BrokenPipeError:  # whoever read has gone: click ends quietly
+    except BrokenPipeError:  # of a table: click ends quietly
         raise
     except (ValueError, BackendError, OSError, ArithmeticError) as error:  # SceneError is a ValueError
         if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
@@ -186,5 +189,5 @@ def plain_errors() -> Iterator[None]:
 
 def fail(message: str, status: int) -> None:
     """End with one line."""
-    echo(f"taichi-sim: {message}", err=True)
+    echo(f"taichi-sim: {message}".replace("\n", "\\n"), err=True)
     raise typer.Exit(status)

@@ -102,7 +102,8 @@ def run(
                 continue
             target.discard()
             if target.path is not None and target.frames:
-                echo(f"{name}: {target.frames} frames are kept; --resume goes on with them", err=True)
+                kept = "and a checkpoint are kept" if target.log.checkpoint is not None else "are kept"
+                echo(f"{name}: {target.frames} frames {kept}; --resume goes on with them", err=True)
             elif target.simulated:
                 says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"
                 echo(f"{name}: {says}", err=True)

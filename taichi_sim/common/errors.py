@@ -23,6 +23,7 @@ __all__ = [
 ]
 
 KeyPath = tuple[str | int, ...]
+LONGEST = 60  # of a value or a key in a message
 DIGITS = 18  # of an index; longer ones are no numbers
 RENAMED = {
     "contact_passes": "contact_iterations",
@@ -123,8 +124,10 @@ def path_of(place: str | Sequence[str | int]) -> KeyPath:
 
 def key_name(path: Sequence[str | int]) -> str:
     """Name of a path as `path_of` takes it: ("springs", 3, "pairs", 12) as `springs[3].pairs[12]`. A key that holds lines or
-    control sequences is written as Python writes it."""
-    names = (part if isinstance(part, int) or part.isprintable() else repr(part) for part in path)
+    control sequences is written as Python writes it; a long one is cut off."""
+    names = (
+        part if isinstance(part, int) or (part.isprintable() and len(part) <= LONGEST) else short(part) for part in path
+    )
     return "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
 
 
@@ -133,7 +136,7 @@ def short(value: object) -> str:
     if isinstance(value, os.PathLike):
         return repr(os.fspath(value))
     text = repr(value.tolist() if hasattr(value, "tolist") else value)  # NumPy's
-    return text if len(text) <= 60 else text[:57] + "..."
+    return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
 
 
 def unknown_key(path: str | Sequence[str | int], known: Collection[str], what: str = "a known key") -> SceneError:

@@ -2,9 +2,10 @@
 
 import os
 import sys
-from typing import Any
+from contextlib import suppress
+from typing import Any, TextIO
 
-__all__ = ["no_formula", "printable", "settle_streams"]
+__all__ = ["lead_nowhere", "no_formula", "printable", "settle_streams"]
 
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # what they begin with
 LINES = "\n\t"
@@ -27,6 +28,14 @@ def _code(character: str) -> str:
 def no_formula(value: Any) -> Any:
     """The cell of a table: a text that a spreadsheet would compute, such as `=1+1`, with a ' before it."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULAS) else value
+
+
+def lead_nowhere(stream: TextIO) -> None:
+    """Let a standard stream that nobody reads any more lead nowhere, with what it still holds."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
 
 
 def settle_streams() -> None:

@@ -3,20 +3,33 @@
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from typing import Any, NoReturn
 
-__all__ = ["ENDED", "HUNG_UP", "INTERRUPTED", "TERMINATED", "heard", "insistent_signals", "leave", "without_interrupts"]
+__all__ = [
+    "ENDED",
+    "HUNG_UP",
+    "INTERRUPTED",
+    "TERMINATED",
+    "Patience",
+    "heard",
+    "insistent_signals",
+    "leave",
+    "patiently",
+    "without_interrupts",
+]
 
 HUNG_UP, INTERRUPTED, TERMINATED = 129, 130, 143  # exit status: 128 + the number of the signal
 ENDED = (HUNG_UP, TERMINATED)  # those that a SystemExit carries
 AGAIN = 2.0  # s; long enough for a half-written file to be removed
 TIMES = 10
+PATIENCE = 6.0  # s; `docker stop` and many a queue wait ten before they kill
 
 _held_back = False
 _unheard: int | None = None  # the exit status of what was asked for, and maybe swallowed
+_patience: "Patience | None" = None
 
 
 @contextmanager
@@ -33,6 +46,9 @@ def insistent_signals() -> Iterator[None]:
         asked.append(128 + number)
         if len(asked) > TIMES:  # a library that was cut short holds the process
             os._exit(asked[0])
+        if _patience is not None and len(asked) == 1:
+            _patience.note(asked[0])
+            return
         if hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, AGAIN)
         _unheard = asked[0]
@@ -68,6 +84,50 @@ def insistent_signals() -> Iterator[None]:
 
 def _answer(status: int) -> BaseException:
     return KeyboardInterrupt() if status == INTERRUPTED else SystemExit(status)
+
+
+class Patience:
+    """The first signal of a block, which waits until the work stands well, but no longer than PATIENCE.
+
+    tell: called as soon as it comes.
+    """
+
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+        self._status: int | None = None
+
+    def note(self, status: int) -> None:
+        """Take the signal, whose exit status this is."""
+        self._status = status
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+        self._tell()
+
+    def taken(self) -> bool:
+        """True once it came. The work stands well then: what it does before `end` is cut short by a second signal alone."""
+        if self._status is None:
+            return False
+        heard()
+        return True
+
+    def end(self) -> None:
+        """Raise what was asked for, if it was."""
+        if self.taken():
+            assert self._status is not None
+            raise _answer(self._status)
+
+
+@contextmanager
+def patiently(tell: Callable[[], None]) -> Iterator[Patience]:
+    """Note the first signal of a block within `insistent_signals`; it is raised where the block calls `end`, and at its end. A
+    second signal, and work that does not stand well for too long, raise it at once."""
+    global _patience
+    _patience = patience = Patience(tell)
+    try:
+        yield patience
+    finally:
+        _patience = None
+    patience.end()
 
 
 def heard() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.printable import printable
 
 __all__ = [
     "as_array",
@@ -21,6 +22,7 @@ __all__ = [
     "flags",
     "indices",
     "many",
+    "name",
     "number",
     "one_of",
     "per_item",
@@ -123,6 +125,16 @@ def one_of(where: str, value: Any, words: Iterable[Any], more: str = "") -> None
     allowed = list(words)
     if not any(value is word or (isinstance(value, str) and value == word) for word in allowed):
         raise SceneError(where, value, f"one of {', '.join(map(repr, allowed))}{more}")
+
+
+def name(where: str, value: Any) -> str:
+    """A name, which goes into messages and into the heads of files: a text without line breaks and control characters. Raises
+    SceneError."""
+    if not isinstance(value, str) or not value:
+        raise SceneError(where, value, "a text")
+    if printable(value) != value or "\n" in value or "\t" in value:
+        raise SceneError(where, value, "a text in one line, without control characters")
+    return value
 
 
 def per_item(

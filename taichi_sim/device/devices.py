@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from taichi_sim.common.memory import available
+from taichi_sim.common.own_modules import OWN_MODULES
 from taichi_sim.common.remembered import recall, remember
 
 __all__ = ["Device", "find", "verdict"]
@@ -21,11 +22,7 @@ DEVICE_LOCAL = 1  # VK_MEMORY_HEAP_DEVICE_LOCAL_BIT
 MOST_VULKAN_DEVICES = 16
 WRONG = "wrong: "  # how the self-test begins to say what is
 SELF_TEST, PATIENCE = "taichi_sim.reports.self_test", 120.0  # a program, and the s that it may take
-# as `python -m` does, but no module is taken from the working folder, which may be that of a scene from elsewhere
-START = (
-    "import sys; sys.path = [place for place in sys.path if place];"
-    " from runpy import run_module; run_module(sys.argv.pop(1), run_name='__main__')"
-)
+START = OWN_MODULES + "from runpy import run_module; run_module(sys.argv.pop(1), run_name='__main__')"  # as `python -m`
 
 
 class Device(NamedTuple):

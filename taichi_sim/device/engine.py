@@ -6,6 +6,7 @@ programs. What is private to one of them, or named otherwise, is asked of it her
 
 import os
 import sys
+import warnings
 from copy import copy
 from types import ModuleType
 from typing import Any
@@ -43,7 +44,11 @@ def _taichi() -> ModuleType:
     try:
         with restored_environment():
             os.environ.pop("TI_LOG_LEVEL", None)  # an unknown one cannot be imported with; `start` sets it
-            import taichi
+            with warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore"
+                )  # that it uses what Python is going to drop; `python -W error` would end here
+                import taichi
     except (ImportError, OSError) as error:  # on Linux, its library is linked against libX11 even without a window
         hint = (
             " Install it: `apt install libx11-6` (Debian, Ubuntu), `dnf install libX11` (Fedora), `apk`-based systems lack glibc."

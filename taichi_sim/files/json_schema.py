@@ -22,7 +22,7 @@ def scene_schema() -> dict[str, Any]:
     definitions["colliders"] = {"oneOf": [{"$ref": f"#/$defs/collider_{name}"} for name in COLLIDERS]}
     for table in schema["properties"].values():
         if "$ref" in table:
-            table.setdefault("description", definitions[table["$ref"].rsplit("/", 1)[-1]]["description"])
+            table.setdefault("description", definitions[table["$ref"].rsplit("/", 1)[-1]].get("description", ""))
     return {
         "$schema": DRAFT,
         **_table(

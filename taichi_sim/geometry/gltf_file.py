@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -27,6 +28,7 @@ COMPRESSIONS = {
     "KHR_meshopt_compression": "meshopt",
 }
 INSTANCES = "EXT_mesh_gpu_instancing"
+HARMLESS = re.compile("material|texture|light|mesh_quantization|xmp")  # extensions that change no shape, or are known
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives; others are points and lines
 
 
@@ -117,6 +119,9 @@ def _refuse_compressed(file: Path, header: Mapping[str, Any]) -> None:
             raise SceneError("mesh", file, says=says)
         if name == INSTANCES:
             raise _instances(file)
+        if not HARMLESS.search(name):
+            says = f"needs the extension {short(name)}, which is not read; export it without"
+            raise SceneError("mesh", file, says=says)
 
 
 def _instances(file: Path) -> SceneError:
@@ -193,7 +198,9 @@ class _Accessors:
 def _triangles(index: NDArray, mode: int) -> NDArray[np.int64]:
     """Triangles (t, 3) of a list, a strip or a fan."""
     if mode == TRIANGLES:
-        return index[: len(index) // 3 * 3].reshape(-1, 3)
+        if len(index) % 3:
+            raise FormatError(f"a list of triangles has {len(index)} corners; there must be three for each")
+        return index.reshape(-1, 3)
     if len(index) < 3:
         return np.zeros((0, 3), dtype=np.int64)
     if mode == STRIP:
@@ -223,8 +230,21 @@ def _shown(file: Path, header: Mapping[str, Any]) -> Iterator[tuple[int, NDArray
             raise _instances(file)
         matrix = outer @ _placed(node)
         if "mesh" in node:
+            _require_rigid(file, node, header["meshes"][node["mesh"]])
             yield node["mesh"], matrix
         waiting += [(child, matrix) for child in reversed(node.get("children", ()))]
+
+
+def _require_rigid(file: Path, node: Mapping[str, Any], mesh: Mapping[str, Any]) -> None:
+    """Raise SceneError where bones or shape keys give a mesh another shape than its vertices have."""
+    if "skin" in node:
+        raise SceneError(
+            "mesh", file, says="has a skin, whose bones are not read; apply the armature, and export it without"
+        )
+    if any(node.get("weights", mesh.get("weights", ()))):
+        raise SceneError(
+            "mesh", file, says="has shape keys in use, which are not read; apply them, and export it without"
+        )
 
 
 def _placed(node: Mapping[str, Any]) -> NDArray[np.float64]:

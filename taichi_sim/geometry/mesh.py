@@ -12,7 +12,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import kind_of
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.geometry.mesh_file import SUFFIXES, load, states_up
-from taichi_sim.geometry.polygons import triangulated, without_repeats
+from taichi_sim.geometry.polygons import FormatError, triangulated, without_repeats
 
 PLACES_NAMED = 3  # in a message
 THINNEST_TRIANGLE = 1e-6  # twice its area over the square of its longest side: a triangle of less has none
@@ -66,7 +66,10 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     _, first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
     corners = first[same.reshape(-1)][polygons.corners]
     kept, counts = without_repeats(corners, counts)
-    cut, crossing = triangulated(vertices, corners[kept], counts)
+    try:
+        cut, crossing = triangulated(vertices, corners[kept], counts)
+    except FormatError as error:
+        raise SceneError("mesh", file, says=f"cannot be divided into triangles: {error}") from None
     if len(crossing):
         warnings.warn(
             f"mesh: {os.fspath(file)!r} has {len(crossing)} polygons that cross themselves, the first at"

@@ -144,7 +144,8 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
     except SceneError:
         raise
     except Exception as error:  # a parser for foreign files may raise anything
-        raise SceneError(where, file, says=f"cannot be read as SVG: {error}") from None
+        reason = "its groups are too deep" if isinstance(error, RecursionError) else error
+        raise SceneError(where, file, says=f"cannot be read as SVG: {reason}") from None
     found_rings: list[tuple[list[NDArray], bool, tuple[float, float, float]]] = []
     corners = 0
     box = drawing.bbox()
@@ -194,6 +195,8 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
         covered = area if covered is None else covered.union(area)
         placed = shapely.transform(seen, lambda x: (x - [0.5 * (left + right), bottom]) * [scale, -scale])
         found += [Outline(part, colour) for part in _polygons(shapely, placed)]
+    if not found:
+        raise SceneError(where, file, says="shows nothing that has an area")
     return found[::-1]
 
 

@@ -10,6 +10,7 @@ __all__ = ["FormatError", "Polygons", "real", "shown", "triangulated", "without_
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int64]
 LEAST = 1e-9  # of a polygon's area: a triangle of less has none
+MOST_CUT = 3e8  # corners squared of polygons that are cut ear by ear, which takes a minute
 
 
 class FormatError(ValueError):
@@ -45,10 +46,11 @@ def triangulated(vertices: Floats, corners: Whole, counts: Whole) -> tuple[Whole
 
     A polygon of n corners gives n - 2 triangles that face as it does; one of less than three corners gives none. Triangles from
     its first corner are taken where none of them turns over: only then do they fill a polygon that is not convex. The others are
-    cut off ear by ear. A polygon that crosses itself is cut from its first corner.
+    cut off ear by ear; FormatError is raised where that would take minutes. A polygon that crosses itself is cut from its first
+    corner.
     """
     starts = np.cumsum(counts) - counts
-    found, crossing = [np.zeros((0, 3), dtype=np.int64)], []
+    found, crossing, left = [np.zeros((0, 3), dtype=np.int64)], [], MOST_CUT
     for n in np.unique(counts[counts >= 3]).tolist():
         first = starts[counts == n]
         fan = first[:, None, None] + np.stack([np.zeros(n - 2), np.arange(1, n - 1), np.arange(2, n)], axis=1)
@@ -60,6 +62,11 @@ def triangulated(vertices: Floats, corners: Whole, counts: Whole) -> tuple[Whole
             area = np.einsum("pki,pi->pk", np.cross(x[:, 1:-1], x[:, 2:]), normal)
             square = np.einsum("pi,pi->p", normal, normal)
             for k in np.flatnonzero((area <= LEAST * square[:, None]).any(axis=1) & (square > 0.0)).tolist():
+                left -= n * n
+                if left < 0:
+                    raise FormatError(
+                        f"a face of {n} corners is not convex, or too many are; divide them into triangles"
+                    )
                 ears = _ears(_flat(x[k], normal[k] / np.sqrt(square[k])))
                 if ears is None:
                     crossing.append(np.flatnonzero(counts == n)[k])

@@ -22,6 +22,7 @@ from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
 from taichi_sim.common.quantities import ROUNDED, measures, plain_number
+from taichi_sim.common.signals import Patience, patiently
 from taichi_sim.device import compiling
 from taichi_sim.outputs import whole_run
 from taichi_sim.outputs.background_writer import Behind
@@ -434,6 +435,17 @@ def export(
             summary.stretched = log.stretched
             clock.charge("checkpointing")
 
+        def between(index: int, needs: bool = True) -> None:
+            """Make a checkpoint after a frame where one is due and needed, or the run is to end, as it does then."""
+            ends = patience.taken()
+            if log is not None and (ends or (needs and log.due)):
+                keep(index)
+            if ends:
+                patience.end()
+
+        simulating, patience = stack.enter_context(ExitStack()), Patience(bar.is_to_end)
+        if log is not None and checkpoint is not None:
+            patience = simulating.enter_context(patiently(bar.is_to_end))
         if drawn_last:
             drawing = [one for one in writers if one.output.needs_image]
             kept: list[Frame] = []
@@ -449,10 +461,10 @@ def export(
                     ready = [one for one in writers if not one.output.needs_image]
                     write(index, frame, None, [one for one in ready if one.output.wants(index)])
                     bar.advance(index + 1, frame.time - since)
-                    if log is not None and log.due:
-                        keep(index)
+                    between(index)
             except UnstableError as unstable:
                 end = unstable
+            simulating.close()
             begin, frames, since, log = 0, whole_run.played(kept, end), first.time, None
             renderer.fit(kept)
             clock.charge("drawing")
@@ -472,8 +484,8 @@ def export(
             bar.advance(index + 1, frame.time - since)
             if index == begin + 1:  # as a rule nothing is compiled later
                 expected.spent()
-            if log is not None and log.due and index + 1 < count:
-                keep(index)
+            between(index, needs=index + 1 < count)
+        simulating.close()
         summary.loaded = compiling.loaded()
         summary.duration, summary.units = duration, units_of(simulation.scene)
         summary.settled = str(getattr(simulation, "settled", None) or summary.settled)
@@ -598,6 +610,10 @@ class _Frames(Work):
         self.begin(what)
         start = time.monotonic()
         self.words = lambda: waiting(time.monotonic() - start)
+
+    def is_to_end(self) -> None:
+        """Say that the run ends with the frame that is being made."""
+        self.words = lambda: "interrupted: ends with a checkpoint after this frame; once more: at once"
 
     def advance(self, done: int, simulated: float) -> None:
         """Note that so many frames are done, and so many seconds simulated since the beginning. The first one tells no pace."""

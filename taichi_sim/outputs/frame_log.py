@@ -70,6 +70,7 @@ class FrameLog:
         self.damaged = False
         self.waits = False  # whether no picture is drawn before all is simulated
         self._lock: IO[bytes] | None = None
+        self._is_left = False
         require_own(self.folder, ABOUT)
         self.resumes = resume and (self.folder / ABOUT).is_file()
         if self.resumes:
@@ -220,7 +221,10 @@ class FrameLog:
         return next(self.folder / name for name in names if not (self.folder / name).exists())
 
     def open(self) -> Path:
-        """The folder, made where it is not there; what another run left in it is dropped. Raises OSError."""
+        """The folder, made where it is not there; what another run left in it is dropped. Raises OSError, and ValueError where
+        the output was finished or discarded."""
+        if self._is_left:
+            raise ValueError(f"{self.output}: was finished or discarded, and takes no more frames; open it anew")
         if not self.resumes:
             self.folder.mkdir(exist_ok=True)
             require_own(self.folder, ABOUT)
@@ -280,7 +284,8 @@ class FrameLog:
         self.close()
 
     def close(self) -> None:
-        """Leave it for another run."""
+        """Leave it for another run. It takes no more frames."""
+        self._is_left = True
         self._close_records()
         if self._lock is not None:
             self._lock.close()
@@ -293,7 +298,8 @@ class FrameLog:
                 one.close()
 
     def delete(self) -> None:
-        """The output is complete, or nothing of it is worth keeping."""
+        """The output is complete, or nothing of it is worth keeping. It takes no more frames."""
+        self._is_left = True
         if self.resumes:
             self._remove()
             self.resumes = False

@@ -1,12 +1,12 @@
 """A video of each of many scenes, one after another, each in a process of its own."""
 
 import subprocess
-import sys
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from taichi_sim.common.own_modules import own_command
 from taichi_sim.outputs.base import require_folder_place
 
 
@@ -26,7 +26,7 @@ def render_all(names: Sequence[str], folder: str | PathLike[str], *, quiet: bool
             continue
         if not quiet:
             print(f"{number} of {len(names)}: {name}", flush=True)
-        command = [sys.executable, "-m", "taichi_sim", "run", name, "-o", str(target), "--resume", *given]
+        command = own_command("run", name, "-o", str(target), "--resume", *given)
         status = subprocess.run([*command, *(["--quiet"] if quiet else [])], check=False).returncode
         if status:
             return status

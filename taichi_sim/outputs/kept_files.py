@@ -30,7 +30,10 @@ def write_kept(path: Path, value: Any) -> None:
 def read_kept(path: Path) -> dict[str, Any]:
     """Read the values that `write_kept` wrote. Raises SceneError, see `judged`, where the file is damaged or was edited."""
     with judged(path):
-        found = json.loads(path.read_bytes())
+        try:
+            found = json.loads(path.read_bytes())
+        except (ValueError, RecursionError):
+            raise ValueError("it ends too early, or something else was written into it") from None
         kept = found["kept"]
         if not isinstance(kept, dict) or zlib.crc32(json.dumps(kept).encode()) != found["crc32"]:
             raise ValueError("its checksum does not fit")
@@ -58,11 +61,12 @@ def judged(path: Path) -> Iterator[None]:
     try:
         yield
     except ODD as error:
-        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).partition("\n")[0]
-        if isinstance(error, SceneError) and error.file is not None:
+        reason = "it holds something else than was written"
+        if isinstance(error, KeyError):
+            reason = f"it has no {error}"
+        elif isinstance(error, SceneError) and error.file is not None:
             reason = f"it {error.says}"
-        says = (
-            f"is damaged ({reason or type(error).__name__}); delete {path.parent}, or use --overwrite in place of --resume,"
-            " to begin anew"
-        )
+        elif isinstance(error, ValueError):
+            reason = str(error).partition("\n")[0]
+        says = f"is damaged ({reason}); delete {path.parent}, or leave --resume out, to begin anew"
         raise SceneError((), says=says, file=path) from None

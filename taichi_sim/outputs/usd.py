@@ -20,6 +20,8 @@ from taichi_sim.render.camera import Camera
 from taichi_sim.render.renderer import evenly
 from taichi_sim.render.tracker import Tracker
 
+MODULES = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "Vt")  # those of USD that are used
+
 
 class Usd(Deferred):
     """/World holds an Xform for each object, with its name, and in it a Mesh (points and normals over time, st where the object
@@ -37,7 +39,9 @@ class Usd(Deferred):
     is_film = True
 
     def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
-        needed("pxr", "usd", Path(path))
+        # here, where no other thread loads a library: while these load they wait for the thread that runs Python
+        for name in MODULES:
+            needed(f"pxr.{name}", "usd", Path(path))
         super().__init__(path, fps, resume)
         self._aspect = 16 / 9
         self._tracker: Tracker | None = None

@@ -1,13 +1,13 @@
 """Filling the cache of compiled kernels before anybody waits for them: for images, class rooms and clusters."""
 
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from taichi_sim.common.own_modules import own_command
 from taichi_sim.device.backend import kernel_folder
 
 __all__ = ["Kept", "Warmed", "kept", "warm"]
@@ -46,7 +46,7 @@ def warm(names: Sequence[str], options: Mapping[str, str]) -> Iterator[Warmed]:
         before, start = kept().kernels, time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
             given = [f"--{key}={value}" for key, value in {**SHORTEST, **options}.items()]
-            command = [sys.executable, "-m", "taichi_sim", "run", name, "-o", f"{folder}/frames/", "--quiet", *given]
+            command = own_command("run", name, "-o", f"{folder}/frames/", "--quiet", *given)
             ended = subprocess.run(command, capture_output=True, text=True, check=False)
         said = ended.stderr.strip() if ended.returncode else ""
         yield Warmed(name, time.perf_counter() - start, kept().kernels - before, said)

@@ -74,8 +74,7 @@ class Objects:
             uv: (k, 2) places of the balls on a texture, in 0..1 [1], or (t, 3, 2) of the corners of its t triangles; None: those
                 that it has, as a rectangular cloth does, and a mesh with places.
         """
-        if not isinstance(name, str) or not name:
-            raise SceneError("objects.name", name, "a text")
+        name = validation.name("objects.name", name)
         index = validation.indices("objects.balls", np.atleast_1d(np.asarray(balls)), self.n_balls)
         places = None if uv is None else self._places(index, uv)
         self._look_up()

@@ -159,8 +159,7 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             viscous_friction: rate at which sliding in contact slows down, >= 0 [1/s].
             colour: sRGB in 0..1 [1] of what is made of it and has none of its own.
         """
-        if not isinstance(name, str) or not name:
-            raise SceneError("materials.name", name, "a text")
+        name = validation.name("materials.name", name)
         if name != "default" and self._material_names.number(self.materials, name) is not None:
             raise SceneError("materials.name", name, says="exists already")
         new = Material(
@@ -357,6 +356,8 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         self.colliders[number] = sealed(replace(one, label=name, given={**one.given, "name": name}))
 
     def _require_new_label(self, where: str, label: str) -> None:
+        if label:
+            validation.name(f"{where}.name", label)
         if label and any(one.label == label for one in self.colliders):
             raise SceneError(f"{where}.name", label, says="exists already; every collider needs its own name")
 

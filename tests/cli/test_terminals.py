@@ -52,6 +52,12 @@ def test_names_in_a_scene_file_command_no_terminal(tmp_path, text):
         assert "\n" not in str(raised.value)
 
 
+def test_an_error_is_one_line_whatever_is_named(tmp_path):
+    done = CliRunner().invoke(main, ["check", f"{tmp_path}/a\nb.toml"])
+    assert (done.exit_code, done.output.count("\n")) == (2, 1)
+    assert r"/a\nb.toml: " in done.output
+
+
 def test_names_of_files_command_no_terminal(tmp_path):
     done = CliRunner().invoke(main, ["check", f"{tmp_path}/{EVIL}.toml"])
     assert done.exit_code == 2
@@ -82,6 +88,13 @@ print(1)
 print(2, file=sys.stderr)
 os.write(1, b"3")
 """
+
+
+def test_python_without_docstrings_and_with_warnings_as_errors():
+    done = command("-W", "error", "-OO", "-m", "taichi_sim", "schema")
+    assert done.returncode == 0, done.stderr
+    code = "'from taichi_sim.device.engine import ti; print(ti.__name__)'"
+    assert command("-W", "error", "-c", code).stdout.split()[-1:] in ([b"taichi"], [b"quadrants"])
 
 
 def test_streams_that_are_closed(tmp_path):
@@ -115,7 +128,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 always looks there")
 def test_the_package_as_a_command_takes_no_modules_from_the_working_folder(tmp_path):
     for name in ("typer", "random", "numpy", "tempfile"):
         (tmp_path / f"{name}.py").write_text(f"open({str(tmp_path / 'taken')!r}, 'w').close()\n")

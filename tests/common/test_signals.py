@@ -2,11 +2,13 @@
 
 import os
 import signal
+import time
 from contextlib import suppress
 
 import pytest
 
-from taichi_sim.common.signals import HUNG_UP, TERMINATED, heard, insistent_signals, without_interrupts
+from taichi_sim.common import signals
+from taichi_sim.common.signals import HUNG_UP, TERMINATED, heard, insistent_signals, patiently, without_interrupts
 
 pytestmark = pytest.mark.once
 
@@ -87,3 +89,41 @@ def test_nothing_is_left_for_the_next_block():
         interrupt()
     with insistent_signals(), without_interrupts():
         pass
+
+
+def test_the_first_signal_waits_until_the_work_stands_well_and_the_second_does_not():
+    told, done = [], []
+
+    def work(signals_in_a_row):
+        with insistent_signals(), patiently(lambda: told.append(1)) as patience:
+            patience.end()
+            for _ in range(signals_in_a_row):
+                interrupt(signal.SIGTERM)
+            done.append(patience.taken())
+            patience.end()
+            done.append("not reached")
+
+    with pytest.raises(SystemExit) as end:
+        work(1)
+    assert (told, done, end.value.code) == ([1], [True], TERMINATED)
+    with pytest.raises(SystemExit):
+        work(2)
+    assert done == [True]
+
+
+@pytest.mark.parametrize("calls_end", [False, True])
+def test_work_that_does_not_stand_well_in_time_is_cut_short(monkeypatch, calls_end):
+    monkeypatch.setattr(signals, "PATIENCE", 0.05)
+
+    def work():
+        with insistent_signals(), patiently(lambda: None) as patience:
+            interrupt()
+            if calls_end:
+                assert patience.taken()
+                time.sleep(0.2)  # not hurried any more
+                patience.end()
+            time.sleep(30.0)
+            pytest.fail("the signal was lost")
+
+    with pytest.raises(KeyboardInterrupt):
+        work()

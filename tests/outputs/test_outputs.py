@@ -1,8 +1,11 @@
 """Outputs: what they hold, that they appear complete or not at all, and the loop that feeds them."""
 
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -577,3 +580,34 @@ def test_pictures_with_alpha(tmp_path, monkeypatch):
         with pytest.raises(ValueError, match=rf"transparent: .*{name} holds no transparency; write PNG frames"):
             export(FakeSimulation(), open_output(tmp_path / name), duration=5 / 60, size=SIZE, style=style)
     assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+
+
+LOADS = """
+import sys
+from taichi_sim.outputs import open_output
+
+output, before = open_output("x.usda"), set(sys.modules)
+output.finish()
+print(*(name for name in set(sys.modules) - before if name.startswith("pxr")))
+"""
+
+
+@pytest.mark.skipif(find_spec("pxr") is None, reason="usd-core")
+def test_usd_loads_its_libraries_before_another_output_has_a_thread(tmp_path):
+    """They wait for the thread that runs Python, and a film's, which loads its own at the first frame, for theirs: for ever."""
+    done = subprocess.run([sys.executable, "-c", LOADS], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
+    assert (tmp_path / "x.usda").is_file()
+
+
+@pytest.mark.parametrize("end", ["finish", "discard"])
+@pytest.mark.parametrize("name", ["x.mp4", "x.gif", "x.npz", "frames/", "x.csv", "x.pvd", "x.ply"])
+def test_what_has_ended_takes_no_more_frames(tmp_path, name, end):
+    """It said nothing, and left parts of files."""
+    output, frame, image = open_output(f"{tmp_path}/{name}"), FakeSimulation().frame(), np.zeros((48, 64, 3), np.uint8)
+    getattr(output, end)()
+    before = {path for path in tmp_path.rglob("*") if path.is_file()}
+    with pytest.raises(ValueError, match=r"was finished or discarded, and takes no more frames; open it anew$"):
+        output.write(0, frame, image if output.needs_image else None)
+    output.discard()
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == before

@@ -1,6 +1,7 @@
 """Runs that are cut off and resumed: what comes out is what an undisturbed run writes, in every format and in a user's own."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with, make, pi
 
 from taichi_sim import Scene, UnstableError
 from taichi_sim.analysis.probe_readings import Readings
+from taichi_sim.common.signals import insistent_signals
 from taichi_sim.outputs import Output, checkpoints, export, frame_log, open_output
 
 pytestmark = pytest.mark.once
@@ -363,6 +365,36 @@ def test_of_several_outputs_one_alone_goes_on(tmp_path):
     with pytest.warns(UserWarning, match="x.npz: is complete"):
         assert run(folder, ("x.gif", "x.npz"), resume=True).resumed == 13
     assert files(folder) == files(whole)
+
+
+def interrupted(folder, names, kind, **options):
+    """An export that is asked to end while it makes frame 17."""
+
+    class Interrupted(kind):
+        def contacts(self):
+            if self.at == 4 * 17:
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().contacts()
+
+    with pytest.raises(SystemExit), insistent_signals():
+        run(folder, names, kind=Interrupted, **options)
+
+
+@pytest.mark.parametrize("names", ["x.npz", ("x.csv", "x.mp4")])
+@pytest.mark.parametrize("kind", [Steady, Whole])
+def test_an_interrupt_makes_a_checkpoint_where_none_was_due(tmp_path, names, kind):
+    """Of the frame that it came in, whether pictures are drawn meanwhile or at the end."""
+    (whole := tmp_path / "whole").mkdir()
+    run(whole, names, kind=kind)
+    (folder := tmp_path / "cut").mkdir()
+    interrupted(folder, names, kind, checkpoint="auto")
+    assert run(folder, names, kind=kind, checkpoint="auto", resume=True).resumed == 18
+    assert files(folder) == files(whole)
+
+
+def test_no_checkpoint_is_made_at_an_interrupt_where_none_are_wanted(tmp_path):
+    interrupted(tmp_path, "x.mp4", Steady, checkpoint=None)
+    assert not list(tmp_path.glob(".x.mp4.resume/state*"))
 
 
 def test_what_is_said_to_be_kept_is(tmp_path):

@@ -167,6 +167,9 @@ def obj_cases():
         ("underscores", v.replace("2.0", "2_0.0", 1) + f_lines(BOX), "line 2: '2_0.0' is not a number"),
         ("underscores in a face", v + "f 1 2 0_3\n", "line 9: '0_3' is not the number of a vertex"),
         ("a place beyond the end", v + "vt 0 0\nf 1/1 2/1 3/5\n", "line 10: place on a texture 5 does not exist"),
+        ("a face of very many corners", v + "f" + " 1 2 3" * 10_000 + "\n", "a face of 30000 corners is not convex"),
+        ("a fortran exponent", v.replace("1.5", "1.5D+00") + f_lines(BOX), "line 5: '1.5D[+]00' is not a number"),
+        ("a page of a web server", "<!DOCTYPE html><html><body>404</body></html>", "has no faces"),
     ):
         yield Case(f"{how}.obj", data.encode(), None, says)
 
@@ -217,6 +220,9 @@ def stl_cases():
         ("bytes behind, solid", stl_binary(BOX, b"solid x", tail=bytes(2))),
         ("a line end behind", stl_binary(BOX, tail=b"\r\n")),
         ("bytes of Latin-1 in the header", stl_binary(BOX, b"Gr\xfc\xdfe")),
+        ("no normals", text.replace("normal 0 0 0", "normal nan -nan inf").encode()),
+        ("no ends of facets", text.replace("endfacet\n", "").encode()),
+        ("a facet without area", stl_binary(BOX, number=13, tail=bytes(50))),
     ):
         yield Case(f"{how}.stl", data, BOX)
     for how, data, says in (
@@ -227,6 +233,9 @@ def stl_cases():
         ("two corners", text.replace("vertex", "#", 1).encode(), "12 facets.* 35 corners|is not"),
         ("words", text.replace("0.000000e+00", "zero", 1).encode(), "'zero' is not a number"),
         ("underscores", text.replace("2.000000e+00", "2_0", 1).encode(), "'2_0' is not a number"),
+        ("UTF-16", ("\ufeff" + text).encode("utf-16-le"), "is no text, which begins with solid"),
+        ("a pointer in place of a large file", b"version https://git-lfs.github.com/spec/v1\n" * 3, "is no text"),
+        ("an OBJ", (v_lines(BOX) + f_lines(BOX)).encode(), "is no text"),
     ):
         yield Case(f"{how}.stl", data, None, says)
 
@@ -323,6 +332,8 @@ def ply_cases():
     data = ply(BOX, "ascii")
     yield Case("line ends of DOS.ply", data.replace(b"\n", b"\r\n"), BOX)
     yield Case("byte order mark.ply", b"\xef\xbb\xbf" + data, BOX)
+    yield Case("line ends of old Macs.ply", data.replace(b"\n", b"\r"), BOX)
+    yield Case("blank lines.ply", data.replace(b"end_header\n", b"end_header\n\n").replace(b"ply\n", b"ply\n\n"), BOX)
     head, _, body = ply(BOX, "binary_little_endian").partition(b"end_header\n")
     yield Case("DOS head, binary.ply", head.replace(b"\n", b"\r\n") + b"end_header\r\n" + body, BOX)
     strip = "ply\nformat ascii 1.0\nelement vertex 8\nproperty float x\nproperty float y\nproperty float z\n"
@@ -335,6 +346,12 @@ def ply_cases():
         ("cut off", ply(BOX, "binary_little_endian")[:-3], "PLY"),
         ("cut off, text", data[:-12], "PLY"),
         ("beyond", data.replace(b"4 3 2 1 0", b"4 3 2 1 8"), r"has face 0 \(from 0\) of vertices"),
+        (
+            "a splat",
+            data[: data.index(b"element face")].replace(b"float x", b"float f_dc_0") + b"end_header\n" + b"0 0 0\n" * 8,
+            "has no",
+        ),
+        ("a negative count", data.replace(b"vertex 8", b"vertex -8"), "'-8' is not the number of rows"),
         ("no format", data.replace(b"format ascii 1.0\n", b""), "PLY"),
         ("points", data[: data.index(b"element face")] + b"end_header\n" + b"0 0 0\n" * 8, "has no faces"),
         ("huge", data.replace(b"vertex 8", b"vertex 800000000000"), "PLY"),
@@ -425,6 +442,22 @@ def scaled(body, factor, by=(0.0, 0.0, 0.0)):
     return Body(body.vertices * factor + by, body.polygons, body.area * factor**2, body.volume * factor**3)
 
 
+def interleaved():
+    """Positions of which each is followed by a normal."""
+    header, body = document(BOX)
+    old, x = header["bufferViews"][0]["byteLength"], np.full((len(BOX.vertices), 6), 9.0, dtype="<f4")
+    x[:, :3] = BOX.vertices
+    header["bufferViews"][0] |= {"byteLength": x.nbytes, "byteStride": 24}
+    header["bufferViews"][1]["byteOffset"] = x.nbytes
+    header["buffers"][0]["byteLength"] = x.nbytes + len(body) - old
+    return glb(header, x.tobytes() + body[old:])
+
+
+def with_chunk(data):
+    """A binary file with a chunk of a kind that nobody knows behind its buffer."""
+    return data[:8] + struct.pack("<I", len(data) + 12) + data[12:] + struct.pack("<II4s", 4, 0x58585858, b"abcd")
+
+
 def gltf_cases():
     def one(*nodes, **options):
         return glb(*document(BOX, nodes or ({"mesh": 0},), **options))
@@ -433,6 +466,9 @@ def gltf_cases():
     half = 2**-0.5
     for how, data, body in (
         ("plain", one(), BOX),
+        ("interleaved", interleaved(), BOX),
+        ("a chunk of another kind", with_chunk(one()), BOX),
+        ("shape keys out of use", changed(lambda d: d["meshes"][0].update(weights=[0.0, 0])), BOX),
         ("8 bit", one(kind=5121), BOX),
         ("32 bit", one(kind=5125), BOX),
         ("no indices", one(indexed=False), BOX),
@@ -575,6 +611,11 @@ def gltf_cases():
         ("a list as a head", lambda d: d.update(asset=[2]), r"asset is \[2\]; it must be a table"),
         ("a number as a name", lambda d: d["buffers"][0].update(uri=7), r"uri is 7; it must be a text"),
         ("no primitives", lambda d: d["meshes"][0].pop("primitives"), r"meshes\[0\].primitives is missing"),
+        ("a skin", lambda d: d["nodes"][0].update(skin=0, translation=[5, 0, 0]), "has a skin, .* apply the armature"),
+        ("shape keys", lambda d: d["meshes"][0].update(weights=[0.0, 0.5]), "has shape keys in use"),
+        ("shape keys of a node", lambda d: d["nodes"][0].update(weights=[1]), "has shape keys in use"),
+        ("an unknown extension", lambda d: d.update(extensionsRequired=["FOO_hull"]), "needs the extension 'FOO_hull'"),
+        ("corners left over", lambda d: d["accessors"][1].update(count=35), "a list of triangles has 35 corners"),
     ):
         yield Case(f"{how}.glb", changed(change), None, says)
     header["buffers"][0]["uri"] = "none.bin"
