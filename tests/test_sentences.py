@@ -58,9 +58,7 @@ def test_sentences_are_told_apart():
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(DOCS).as_posix())
 def test_no_sentence_is_too_long(page):
     found = [
-        (len(one.split()), one)
-        for one in sentences(page.read_text(encoding="utf-8"))
-        if len(one.split()) > MOST_WORDS
+        (len(one.split()), one) for one in sentences(page.read_text(encoding="utf-8")) if len(one.split()) > MOST_WORDS
     ]
     assert not found
 
