@@ -91,9 +91,9 @@ class Plot:
         panel.line([(self._left, self._bottom), (self._right, self._bottom)], tints.faint, thin)
         if label:
             panel.text((0.6 * text, 0.4 * text), label, tints.faint)
-        for one in self._curves:
-            if one.expected is not None:
-                self._curve(panel, np.asarray(one.expected, dtype=float), tints.expected, 4 * thin)
+        for curve in self._curves:
+            if curve.expected is not None:
+                self._curve(panel, np.asarray(curve.expected, dtype=float), tints.expected, 4 * thin)
         return panel
 
     def at(self, times: Sequence[float], values: NDArray[np.float64]) -> Panel:

@@ -173,10 +173,10 @@ def test_round_numbers():
         ),
         (
             {"probes": [{"of": "a"}]},
-            "overlay.probes[0].of: 'a' is no number of a probe of this scene; did you mean 'a.",
+            "overlay.probes[0].of: 'a' is no number of a probe of this scene; there are a.x, a.y",
         ),
         ({"probes": [{"of": "load", "expected": [[1, 0], [0, 0]]}]}, "overlay.probes[0].expected: needs at least one"),
-        ({"marks": [{"position": [0, 0, 0]}]}, "overlay.marks[0].position: shape (3,) is not allowed"),
+        ({"marks": [{"position": [0, 0, 0]}]}, "overlay.marks[0].position: shape (3,) does not fit; it must be (2,)"),
         ({"marks": [{"position": [0, 0], "times": [1, 0]}]}, "overlay.marks[0].times: needs at least one time"),
         ("clock", "overlay: 'clock' is not allowed; it must be a table of title, clock,"),
     ],
