@@ -155,7 +155,7 @@ class Overlaid:
             size = tuple(max(1.0, share * side - margin * (share > 0.9)) for side, share in sides)
             label = self.overlay.plot_label
             if label is None:
-                label = ", ".join(dict.fromkeys(unit for one in curves if (unit := self._units.get(one.of))))
+                label = ", ".join(dict.fromkeys(f"[{unit}]" for one in curves if (unit := self._units.get(one.of))))
             tints = self._tints
             plot = Plot(size, self._text, tints, curves, self._colours, label, times, reach)  # type: ignore[arg-type]
             self._plot = (times, reach), plot
