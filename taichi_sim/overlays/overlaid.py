@@ -67,9 +67,9 @@ class Overlaid:
         """The picture of a frame with its overlay, as `Renderer.render` gives it."""
         pixels = self.renderer.render(frame)
         self._note(frame)
-        picture = Image.fromarray(pixels).convert("RGBA")
+        picture = Image.fromarray(pixels)
         self._draw(picture, frame)
-        return np.asarray(picture if pixels.shape[2] == 4 else picture.convert("RGB"))
+        return np.array(picture)
 
     def skip(self, frame: Frame) -> None:
         """Take note of a frame that is not drawn."""

@@ -84,9 +84,12 @@ class Panel:
         return other
 
     def onto(self, picture: Any, left: float, top: float) -> None:
-        """Lay it over an RGBA picture; what lies beyond its edges is cut off."""
+        """Lay it over an RGB or RGBA picture; what lies beyond its edges is cut off."""
         x, y = round(left), round(top)
         reduced = self._image.reduce(FINER)
+        if picture.mode == "RGB":
+            picture.paste(reduced, (x, y), reduced)
+            return
         cut = (max(0, -x), max(0, -y))
         if cut[0] < reduced.width and cut[1] < reduced.height and x < picture.width and y < picture.height:
             picture.alpha_composite(reduced, (max(0, x), max(0, y)), cut)
