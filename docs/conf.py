@@ -16,7 +16,8 @@ for name in taichi_sim.__all__:  # autodoc would import them as for a type check
 
 project, author, release = "taichi_sim", "taichi_sim developers", __version__
 copyright = author
-extensions = ["myst_parser", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc"]  # which brings myst_parser
+nb_execution_mode = "off"  # notebooks show the results that are stored in them
 exclude_patterns = ["course/__init__.py"]
 html_theme = "furo"
 html_title = f"taichi_sim {__version__}"

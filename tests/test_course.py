@@ -87,7 +87,7 @@ def test_the_command_writes_pages_that_load_nothing_from_elsewhere(tmp_path, mon
         assert re.search(f'<a href="{name}.html"[^>]*>{title}', springs)
     pages = {page.stem: page.read_text(encoding="utf-8") for page in folder.glob("*.html")}
     assert 'rel="prev"' not in pages["01_motion"]
-    assert 'rel="next"' not in pages["09_sticks"]
+    assert 'rel="next"' not in pages["13_error"]
     assert 'rel="' not in pages["index"]
     assert not list(folder.glob(".*"))
 
@@ -179,6 +179,24 @@ CHANGES = [  # chapter, its program, what is changed, what then holds
         [("radius=0.06,", "radius=0.06, mass=100,")],
         lambda n: 50 * (n["heights"][-1] - n["heights"][-2]),
         [1 - 1 / 100.5, 1 - 1 / 80.5, 1 - 2 / 101],
+    ),
+    ("10_stacks", 0, [("radius=0.1)", "radius=0.1, mass=[1, 1, 1, 5])")], lambda n: n["taken"][-1], 96),
+    ("11_cloth_and_jelly", 0, [("0.01, 8  #", "0.01, 16  #")], lambda n: max(n["stretches"], key=sum), [9.99, 9.88]),
+    ("11_cloth_and_jelly", 0, [("= 1e5,", "= 4e5,")], lambda n: max(n["stretches"], key=sum), [2.5, 2.49]),
+    ("12_implicit", 1, [("=1e6", "=1e4")], lambda n: [max(one[-100:]) for one in n["angles"].values()], [0.57, 1.0]),
+    (
+        "12_implicit",
+        1,
+        [("dt=0.02", "dt=0.005"), ("fps=50", "fps=200")],
+        lambda n: [max(one[-400:]) for one in n["angles"].values()],
+        [0.84, 1.0],
+    ),
+    (
+        "13_error",
+        0,
+        [("dt=h,", 'dt=h, integrator="symplectic_euler",')],
+        lambda n: n["errors"][2] / n["errors"][3],
+        2.41,
     ),
 ]
 

@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # From the outermost room to the innermost: a file imports from its own room and from those after it, at its top or inside a
 # function. The second part knows nothing of Taichi.
 WITH_TAICHI = (
-    "cli", "benchmark", "sweeps", "reports", "studies", "viewer", "outputs", "render", "simulation", "integrators", "contacts",
-    "forces", "kernels", "device",
+    "cli", "benchmark", "sweeps", "reports", "studies", "viewer", "outputs", "overlays", "render", "simulation", "integrators",
+    "contacts", "forces", "kernels", "device",
 )  # fmt: skip
 WITHOUT_TAICHI = ("files", "analysis", "shapes", "scene", "geometry", "common")
 ROOMS = WITH_TAICHI + WITHOUT_TAICHI

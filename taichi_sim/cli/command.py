@@ -5,6 +5,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -27,7 +28,6 @@ main = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -37,9 +37,23 @@ def flag(name: str, what: str) -> Any:
     return typer.Option(f"--{name}", help=what)
 
 
+def scene_names(incomplete: str) -> list[str]:
+    """Names that a shell may complete to a scene: demos, scene files and folders. Nothing is read."""
+    from taichi_sim.files.source import demos
+
+    path = Path(incomplete)
+    folder = path if incomplete.endswith("/") else path.parent
+    with suppress(OSError):
+        there = [one for one in sorted(folder.iterdir()) if one.is_dir() or one.suffix in (".toml", ".py")]
+        files = [f"{one}/" if one.is_dir() else str(one) for one in there if not one.name.startswith(".")]
+        return [name for name in (*demos(), *files) if name.startswith(incomplete)]
+    return [name for name in demos() if name.startswith(incomplete)]
+
+
 def scene_argument(metavar: str) -> Any:
     """Required, or not where metavar is in brackets and it has a default."""
-    return typer.Argument(metavar=metavar, help="A TOML file, a Python file, or a demo's name.")
+    says = "A TOML file, a Python file, or a demo's name."
+    return typer.Argument(metavar=metavar, help=says, autocompletion=scene_names)
 
 
 SceneName = Annotated[str, scene_argument("SCENE")]

@@ -240,5 +240,6 @@ def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
     require_display()
     job = Job(scene, options)
     output = {key: job.output[key] for key in ("fps", "size", "style")}
-    output["style"].pop("transparent", None)
+    for key in ("transparent", "overlay"):
+        output["style"].pop(key, None)
     show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else echo)

@@ -15,7 +15,13 @@ from taichi_sim.scene.scene import Scene
 
 __all__ = ["changed_scene", "changing", "put", "python_scene_with"]
 
-SINGLE = (("simulation",), ("output",), ("wind",), ("output", "camera"))  # tables that a file has once, or not at all
+SINGLE = (
+    ("simulation",),
+    ("output",),
+    ("wind",),
+    ("output", "camera"),
+    ("output", "overlay"),
+)  # tables that a file has once, or not at all
 PATH = re.compile(r"[^.\[\]]+(\.[^.\[\]]+|\[[0-9]{1,18}\])*")
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, unknown_key
@@ -26,6 +27,7 @@ from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.looks import Look
+from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.part import Part
 from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import chosen as chosen_balls
@@ -156,6 +158,9 @@ class Reader:
         with self._at("output", "camera"):
             self._camera(scene)
         self._looks(scene)
+        with self._at("output", "overlay"):
+            if "overlay" in scene.output:
+                Overlay.of(scene.output["overlay"], scene.dim, units_of(scene))
         if scene.n_balls == 0:
             says = "holds no ball; a scene needs at least one, from [[balls]] or a shape"
             raise SceneError((), says=says, file=self.file)

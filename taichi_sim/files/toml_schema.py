@@ -34,6 +34,7 @@ from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.looks import Look
+from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.part import Part
 from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import Members
@@ -258,6 +259,9 @@ class Output(Strict):
     camera: Annotated[
         dict[str, Any] | None, WithJsonSchema(_object(CameraPath, follow=str | int | tuple[int, ...]))
     ] = _key(None, "where the camera stands, and how it moves")
+    overlay: Annotated[dict[str, Any] | None, WithJsonSchema(_object(Overlay))] = _key(
+        None, "text, curves and marks over the pictures"
+    )
 
 
 def _colliders() -> type[BaseModel]:

@@ -345,7 +345,7 @@ def export(
     Args:
         simulation: a `Simulation`; round(fps x duration) + 1 frames are made of it, the first where it is, the last `duration`
             [s] later, where it is left.
-        size: of the pictures, (width, height) px. style: further arguments of `Renderer`.
+        size: of the pictures, (width, height) px. style: further arguments of `Renderer`, and `overlay`, keys of an `Overlay`.
         progress: a bar on standard error with the time left and the speed against real time.
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
@@ -595,9 +595,9 @@ def _observe(summary: Summary, frame: Frame) -> None:
 
 
 def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> Any:
-    from taichi_sim.render import Renderer
+    from taichi_sim.overlays import open_renderer
 
-    return Renderer(frame, size=size, **style)
+    return open_renderer(frame, size, style)
 
 
 class _Frames(Work):

@@ -68,22 +68,21 @@ def video(
 def picture(what: Any, *, size: tuple[int, int] = (640, 360), **style: Any) -> Any:
     """The present moment of a Simulation, or the start of a Scene, as a Pillow image, which a notebook shows.
 
-    Args: size (width, height) [px]; style: further arguments of `taichi_sim.render.Renderer`; what is left out is taken from
-    `scene.output`, but for its size.
+    Args: size (width, height) [px]; style: further arguments of `taichi_sim.render.Renderer`, and
+    `overlay`; what is left out is taken from `scene.output`, but for its size.
     """
     from PIL import Image
 
-    from taichi_sim.render.renderer import Renderer
+    from taichi_sim.overlays import open_renderer
 
     scene, context = _simulation(what, {"contacts": "off"} if isinstance(what, Scene) else {})
     style = output_options(scene, {})["style"] | style
     with context() as simulation:
         frame = simulation.frame()
-        renderer = Renderer(frame, size=size, **style)
-        try:
+        if style.get("overlay"):
+            frame.probes = simulation.probes()
+        with open_renderer(frame, size, style) as renderer:
             return Image.fromarray(renderer.render(frame))
-        finally:
-            renderer.close()
 
 
 def _require_known(settings: Mapping[str, Any]) -> None:
@@ -98,10 +97,10 @@ def _require_known(settings: Mapping[str, Any]) -> None:
 
 
 def _looks() -> list[str]:
-    """Names of the arguments of `Renderer` that say how a scene looks."""
+    """Names of what says how a scene looks: the arguments of `Renderer`, and the overlay."""
     from taichi_sim.render.renderer import Renderer
 
-    return [name for name in signature(Renderer).parameters if name not in ("frame", "size")]
+    return [*(name for name in signature(Renderer).parameters if name not in ("frame", "size")), "overlay"]
 
 
 def _simulation(what: Any, settings: dict[str, Any]) -> tuple[Scene, Callable[[], Any]]:

@@ -157,11 +157,11 @@ class _Painter:
 
     def __init__(self, path: str, size: tuple[int, int], style: Mapping[str, Any], precision: str | None) -> None:
         from taichi_sim.device import backend
-        from taichi_sim.render.renderer import Renderer
+        from taichi_sim.overlays import open_renderer
 
         backend.start(precision=precision)
         self.frames = Recording(path)
-        self.renderer = Renderer(self.frames[0], size=size, **style)
+        self.renderer = open_renderer(self.frames[0], size, style)
         if is_drawn_last(self.frames.scene, len(self.frames), style):
             self.renderer.fit(self.frames)
         self.start, self.next = self.renderer.memory(), 0

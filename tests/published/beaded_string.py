@@ -1,9 +1,9 @@
 """Vibrating beaded string.
 
-A stretched string of beads at equal distances a, with tension T between its ends, vibrates across at 2 sqrt(T / (m a))
-sin(p pi / (2 (N + 1))) (Lagrange 1759; Fetter and Walecka, "Theoretical Mechanics of Particles and Continua", section
-24). The string starts in mode p with an amplitude of 1e-3 of its length; its frequency is that of the zeros of the
-mode's amplitude. Modes 1, 3 and 8 of 15 beads.
+A stretched string has beads at equal distances a and the tension T between its ends. It vibrates across at 2 sqrt(T /
+(m a)) sin(p pi / (2 (N + 1))) (Lagrange 1759; Fetter and Walecka, "Theoretical Mechanics of Particles and Continua",
+section 24). The string starts in mode p with an amplitude of 1e-3 of its length; its frequency is that of the zeros of
+the mode's amplitude. Modes 1, 3 and 8 of 15 beads.
 """
 
 import numpy as np

@@ -1,7 +1,7 @@
 """Billiard ball from sliding to rolling.
 
 A ball that slides with v0 without spin on cloth of friction mu rolls after 2 v0 / (7 mu g), having gone 12 v0^2 / (49
-mu g), with 5/7 v0; with backspin w it rolls with 5/7 v0 - 2/7 r w, backward where r w > 5/2 v0 (Coriolis, "Theorie
+mu g), with 5/7 v0. With backspin w it rolls with 5/7 v0 - 2/7 r w, backward where r w > 5/2 v0 (Coriolis, "Theorie
 mathematique des effets du jeu de billard", 1835).
 """
 

@@ -1,6 +1,6 @@
 """Buckled strut.
 
-A straight elastic rod with hinged ends that come nearer by a tenth of its length bends into Euler's elastica: with k
+A straight elastic rod with hinged ends that come nearer by a tenth of its length bends into Euler's elastica. With k
 the sine of half the end's angle its chord is L (2 E(k) / K(k) - 1) and its middle is k L / K(k) aside. Its thrust is 4
 K(k)^2 B / L^2, pi^2 B / L^2 at the onset (Love, "Mathematical Theory of Elasticity", section 263). Bending elements
 with the weights 1, -2, 1 and springs form the rod.

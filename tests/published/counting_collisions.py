@@ -1,9 +1,9 @@
 """Digits of pi by counting collisions.
 
 A heavy ball of mass M pushes a light one of mass m against a wall. Without losses they collide with each other and with
-the wall floor(pi / arctan(sqrt(m / M))) times: 3, 31 and 314 for M / m = 1, 100 and 10000 (Galperin, Regular and
-Chaotic Dynamics 8, 2003, 375; one less where pi / arctan is whole). Each pair of collisions turns the point (v sqrt(M),
-u sqrt(m)) by 2 arctan(sqrt(m / M)), which gives the velocities at the end.
+the wall floor(pi / arctan(sqrt(m / M))) times. That is 3, 31 and 314 times for M / m = 1, 100 and 10000 (Galperin,
+Regular and Chaotic Dynamics 8, 2003, 375; one less where pi / arctan is whole). Each pair of collisions turns the point
+(v sqrt(M), u sqrt(m)) by 2 arctan(sqrt(m / M)), which gives the velocities at the end.
 """
 
 import numpy as np

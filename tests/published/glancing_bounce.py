@@ -1,7 +1,7 @@
 """Bounce of a spinning ball (superball, rigid limit).
 
 A sphere hits a floor with the speeds v down and u along, and the spin w. The surface point has u + r w. It sticks where
-|u + r w| < 7/2 mu (1 + e) v, which takes 2/7 of u + r w from u; else friction takes mu (1 + e) v (Garwin, American
+|u + r w| < 7/2 mu (1 + e) v, which takes 2/7 of u + r w from u. Else friction takes mu (1 + e) v (Garwin, American
 Journal of Physics 37, 1969, 88; Foerster et al., Physics of Fluids 6, 1994, 1108, with no tangential restitution). The
 spin changes by 5/(2 r) of what u does.
 """

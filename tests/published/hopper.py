@@ -2,11 +2,11 @@
 
 In two dimensions the number of discs that leave a flat-bottomed silo per second grows as (D - k d)^(3/2) with the width
 D of a wide opening, d the diameter. It does not depend on the height of the filling (Beverloo, Leniger and van de Velde
-1961). A narrow one lets less through, as discs get in each other's way: for all widths the flow grows as (1 - exp(-b (R
+1961). A narrow one lets less through, as discs get in each other's way. For all widths the flow grows as (1 - exp(-b (R
 - 1)) / 2) (R - 1)^(3/2), R = D / d, b a number that is fitted (Mankoc et al., Granular Matter 9, 2007, 407,
 arXiv:0707.4550). b = 0.23 is taken here for discs, and was not compared with the paper. From 0.1 to 0.4 it moves the
-exponent from 1.45 to 1.58. Here R is 5.4 to 10.8, and the exponent of R - 1 is fitted to the flow over the first factor,
-mean of four starts.
+exponent from 1.45 to 1.58. Here R is 5.4 to 10.8, and the exponent of R - 1 is fitted to the flow over the first
+factor, mean of four starts.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Ball on an incline.
 
-A sphere rolls down an incline with 5/7 g sin(angle) where tan(angle) < 7/2 mu; on a steeper one it slides with g
+A sphere rolls down an incline with 5/7 g sin(angle) where tan(angle) < 7/2 mu. On a steeper one it slides with g
 (sin(angle) - mu cos(angle)) and spins up with 5 mu g cos(angle) / (2 r) (Galilei 1638; Landau and Lifshitz,
 "Mechanics", section 38).
 """

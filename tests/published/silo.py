@@ -1,9 +1,9 @@
 """Silo (Janssen's law).
 
-Walls with friction carry part of a filling once it slides down along them: the floor carries W (l / h) (1 - exp(-h /
-l)) of the weight W at a height h (Janssen 1895; Vanel and Clement, European Physical Journal B 11, 1999, 525, for the
-slow sinking that sets the direction of friction). The length l is fitted to three heights; the law is their shape. The
-floor sinks at 10 mm/s; mean over three fillings.
+Walls with friction carry part of a filling once it slides down along them. The floor carries W (l / h) (1 - exp(-h /
+l)) of the weight W at a height h (Janssen 1895; Vanel and Clement, European Physical Journal B 11, 1999, 525). The slow
+sinking sets the direction of friction. The length l is fitted to three heights; the law is their shape. The floor sinks
+at 10 mm/s; mean over three fillings.
 """
 
 import numpy as np

@@ -1,12 +1,11 @@
 """Hanging rope.
 
-Its two supports are at one height, and it is longer than their distance.
-Source: Huygens, Leibniz and Johann Bernoulli (1691); Irvine, "Cable Structures" (1981), chapter 1.
-Formula: y = c cosh(x / c) with 2 c sinh(D / (2 c)) = L for a rope that does not stretch; the sag is c (cosh(D / (2 c)) - 1).
-A rod with bending stiffness EI, clamped level at both ends: EI theta'' = H sin theta + w (L / 2 - s) cos theta, w its weight
-per length, H the horizontal force, from an end to the lowest point.
-Reference: the catenary's parameter by bisection; the rod's boundary value problem by SciPy.
-Defaults: the rope, 0.3 % too deep at 16 pieces and 0.1 % at 64; its own weight makes it 0.05 % longer.
+Its two supports are at one height, and it is longer than their distance. Source: Huygens, Leibniz and Johann Bernoulli
+(1691); Irvine, "Cable Structures" (1981), chapter 1. Formula: y = c cosh(x / c) with 2 c sinh(D / (2 c)) = L for a rope
+that does not stretch; the sag is c (cosh(D / (2 c)) - 1). A rod has the bending stiffness EI and is clamped level at
+both ends. Then EI theta'' = H sin theta + w (L / 2 - s) cos theta, w its weight per length, H the horizontal force,
+from an end to the lowest point. Reference: the catenary's parameter by bisection; the rod's boundary value problem by
+SciPy. Defaults: the rope, 0.3 % too deep at 16 pieces and 0.1 % at 64; its own weight makes it 0.05 % longer.
 """
 
 import numpy as np

@@ -2,7 +2,7 @@
 
 A tapered panel with the corners (0, 0), (48, 44), (48, 60), (0, 44) is held at its left side and loaded upward at its
 right one (Cook, Journal of the Structural Division 100, 1974, 1851). With Poisson's ratio 1/3 in two dimensions (plane
-stress) the middle of the right side rises by 23.96 F / E without its weight; with the panel's own weight, and with 0.98
+stress) the middle of the right side rises by 23.96 F / E without its weight. With the panel's own weight, and with 0.98
 (plane strain 0.495), the reference is a finite element solution (nine nodes an element, 32 x 32).
 """
 

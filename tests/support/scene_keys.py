@@ -31,6 +31,11 @@ def tables():
     )
     looks = output["properties"]["looks"]["items"]
     result["[[output.looks]]"] = rows(looks["properties"], looks)
+    overlay = output["properties"]["overlay"]
+    result["[output.overlay]"] = rows(overlay["properties"], overlay)
+    for key in ("probes", "marks"):
+        items = overlay["properties"][key]["items"]
+        result[f"[[output.overlay.{key}]]"] = rows(items["properties"], items)
     result["[wind]"] = rows(definitions["wind"]["properties"], definitions["wind"])
     for name in schema["properties"]:
         if name in SHAPES or name in ("simulation", "output", "wind") or name in top:
