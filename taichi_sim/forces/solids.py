@@ -15,6 +15,8 @@ from taichi_sim.scene.solids import averages, shape_gradients
 
 __all__ = ["Pairs", "Solids"]
 
+NOTHING = 1e-30  # m^dim, the volume of no elements, by which their sums of 0 are divided
+
 
 @ti.data_oriented
 class Solids(NeoHookean):
@@ -27,7 +29,9 @@ class Solids(NeoHookean):
     whose first part is that of springs without length. A row is such a pair, ball i with ball a, also with itself: `slope` c_ia,
     `back` c_ai, `link` sum_e V_e own_e g_ei . g_ea.
 
-    Fields: `law`, of each ball with elements, its number a row's `node`; `gradient` F and `stress` of each.
+    Fields: `law`, of each ball with elements, its number a row's `node`; `gradient` F and `stress` of each. Where springs can
+    tear, sums are over the elements that are whole: `part`, those of a pair from first[place] to first[place + 1], and `sides`,
+    the pairs of an element.
     """
 
     name = "solids"
@@ -42,17 +46,60 @@ class Solids(NeoHookean):
         pairs = Pairs(at.places, gradient, volume, at.own)
         m, k, alpha = constants(at.mu, at.lam)
         values = {"m": m, "k": k, "alpha": alpha, "viscosity": at.viscosity, "own": at.own, "volume": pairs.volume}
-        types = {"ball": ti.i32, **dict.fromkeys(values, real)}
-        self.law = fields.table(types, self.count, {"ball": at.balls, **values})
+        types = {"ball": ti.i32, "place": ti.i32, **dict.fromkeys(values, real)}
+        alone = np.flatnonzero(pairs.own == pairs.other)
+        self.law = fields.table(types, self.count, {"ball": at.balls, "place": alone, **values})
         self.gradient, self.stress = fields.matrices(self.count, dim), fields.matrices(self.count, dim)
         vector = ti.types.vector(dim, real)
         columns = {"node": ti.i32, "slope": vector, "back": vector, "link": real}
         data = {"node": pairs.other, "slope": pairs.slope, "back": pairs.back, "link": pairs.link}
+        if np.isfinite(scene.break_strain).any():
+            columns["place"], data["place"] = ti.i32, np.arange(len(pairs.own))
         own, other = at.balls[pairs.own], at.balls[pairs.other]
         self.gather(model, fields, other[:, None], own, columns, data)
         self.ties = np.stack([own, _lowest_free(scene.pinned, own, other)[pairs.other]], axis=1)
         free = self.ties[:, 1] >= 0
         self.ties[~free, 1] = own[~free]
+        if self.tears:
+            kinds = {"element": ti.i32, "slope": vector, "back": vector, "link": real, "volume": real}
+            first, parts = pairs.parts()
+            self.part = fields.table(kinds, first[-1], parts)
+            self.first, self.sides = fields.integers(first), fields.integers(pairs.sides.ravel())
+            self.side_count = pairs.sides.shape[1]
+
+    @ti.func
+    def _acts(self, element):
+        """True if an element is whole."""
+        whole = True
+        for k in range(self.side_count):
+            if self.gone[self.sides[element * self.side_count + k]] != 0:
+                whole = False
+        return whole
+
+    @ti.func
+    def _pair(self, row):
+        """Vectors and link of a row, of the elements that are whole."""
+        slope, back, link = row.slope, row.back, row.link
+        if ti.static(self.tears):
+            slope, back, link = 0.0 * slope, 0.0 * back, 0.0 * link
+            for k in range(self.first[row.place], self.first[row.place + 1]):
+                part = self.part[k]
+                if self._acts(part.element):
+                    slope += part.slope
+                    back += part.back
+                    link += part.link
+        return slope, back, link
+
+    @ti.func
+    def _volume(self, law):
+        """Share of a ball in the elements that are whole [m^dim]."""
+        volume = law.volume
+        if ti.static(self.tears):
+            volume = ti.cast(NOTHING, float)
+            for k in range(self.first[law.place], self.first[law.place + 1]):
+                if self._acts(self.part[k].element):
+                    volume += self.part[k].volume
+        return volume
 
     @ti.func
     def _averaged(self, ball: ti.template(), i, member: ti.template(), real: ti.template()):
@@ -61,6 +108,7 @@ class Solids(NeoHookean):
         total = ti.Matrix.zero(real, self.dim, self.dim)
         for t in range(self.start[i + 1] - self.start[i]):
             row = self.row[list_entry(self, i, t)]
+            slope, _, _ = self._pair(row)
             d = ti.Vector.zero(float, self.dim)
             if ti.static(member == "x"):
                 d = ball[row.a].x - ball[i].x
@@ -70,7 +118,7 @@ class Solids(NeoHookean):
                 d = ball[row.a].p - ball[i].p
             for j in ti.static(range(self.dim)):
                 for s in ti.static(range(self.dim)):
-                    total[j, s] += ti.cast(d[j], real) * ti.cast(row.slope[s], real)
+                    total[j, s] += ti.cast(d[j], real) * ti.cast(slope[s], real)
         return total
 
     @ti.func
@@ -78,17 +126,18 @@ class Solids(NeoHookean):
         """Stresses at each ball."""
         for node in range(self.count):
             law = self.law[node]
-            gradient = self._averaged(ball, law.ball, "x", float) / law.volume
+            gradient = self._averaged(ball, law.ball, "x", float) / self._volume(law)
             stress = self.stress_of(gradient, law) - law.own * gradient
             if ti.static(self.viscous):
-                rate = gradient.transpose() @ self._averaged(ball, law.ball, "v", float) / law.volume
+                rate = gradient.transpose() @ self._averaged(ball, law.ball, "v", float) / self._volume(law)
                 stress += law.viscosity * gradient @ (rate + rate.transpose())
             self.gradient[node], self.stress[node] = gradient, stress
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
         """Force of the stress at ball a, and of the elements' own, on ball i [N]."""
-        return -self.stress[row.node] @ row.back - row.link * (ball[row.a].x - ball[i].x)
+        _, back, link = self._pair(row)
+        return -self.stress[row.node] @ back - link * (ball[row.a].x - ball[i].x)
 
     @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
@@ -96,14 +145,15 @@ class Solids(NeoHookean):
         stored = ti.cast(0.0, real)
         if row.a == i:
             law = self.law[row.node]
-            gradient = self._averaged(ball, i, "x", real) / law.volume
-            stored = law.volume * (self.doubled_density(gradient, law) - law.own * gradient.norm_sqr())
+            gradient = self._averaged(ball, i, "x", real) / self._volume(law)
+            stored = self._volume(law) * (self.doubled_density(gradient, law) - law.own * gradient.norm_sqr())
             for t in range(self.start[i + 1] - self.start[i]):
                 other = self.row[list_entry(self, i, t)]
                 square = ti.cast(0.0, real)
+                _, _, link = self._pair(other)
                 for j in ti.static(range(self.dim)):
                     square += ti.cast(ball[other.a].x[j] - ball[i].x[j], real) ** 2
-                stored -= 0.5 * other.link * square
+                stored -= 0.5 * link * square
         return 0.5 * stored
 
     @ti.func
@@ -113,9 +163,9 @@ class Solids(NeoHookean):
         if ti.static(self.viscous):
             if row.a == i:
                 law = self.law[row.node]
-                gradient = self._averaged(ball, i, "x", real) / law.volume
-                rate = gradient.transpose() @ self._averaged(ball, i, "v", real) / law.volume
-                loss = 0.25 * law.volume * law.viscosity * (rate + rate.transpose()).norm_sqr()
+                gradient = self._averaged(ball, i, "x", real) / self._volume(law)
+                rate = gradient.transpose() @ self._averaged(ball, i, "v", real) / self._volume(law)
+                loss = 0.25 * self._volume(law) * law.viscosity * (rate + rate.transpose()).norm_sqr()
         return loss
 
     # The derivatives, for implicit methods
@@ -135,7 +185,7 @@ class Solids(NeoHookean):
         """Changes of the stresses."""
         for node in range(self.count):
             law = self.law[node]
-            change = self._averaged(ball, law.ball, "p", float) / law.volume
+            change = self._averaged(ball, law.ball, "p", float) / self._volume(law)
             stress = s * s * (self.stress_change(node, change) - law.own * change)
             if ti.static(self.viscous):
                 gradient = self.gradient[node]
@@ -146,21 +196,22 @@ class Solids(NeoHookean):
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):
         """Row of ball i of the product."""
-        return self.stress[row.node] @ row.back + s * s * row.link * (ball[row.a].p - ball[i].p)
+        _, back, link = self._pair(row)
+        return self.stress[row.node] @ back + s * s * link * (ball[row.a].p - ball[i].p)
 
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block that joins ball i to itself by the stress at ball a."""
-        law, b = self.law[row.node], row.back
+        law, (_, b, link) = self.law[row.node], self._pair(row)
         block = s * s * (self.change_block(row.node, b) - law.own * b.norm_sqr() * ti.Matrix.identity(float, self.dim))
         if ti.static(self.viscous):
             gradient = self.gradient[row.node]
             along = gradient @ b
             wide = b.norm_sqr() * gradient @ gradient.transpose()
             block += s * law.viscosity * (wide + along.outer_product(along))
-        block /= law.volume
+        block /= self._volume(law)
         if row.a == i:
-            block += s * s * row.link * ti.Matrix.identity(float, self.dim)
+            block += s * s * link * ti.Matrix.identity(float, self.dim)
         return block
 
 
@@ -168,28 +219,37 @@ class Pairs:
     """Pairs (p,) of balls, by their numbers, that share an element, each with itself and in both orders, by the first.
 
     Attributes: `own`, `other` (p,); `slope`, `back` (p, dim) [m^(dim - 1)] and `link` (p,) [N/m], see Solids; `volume` of each
-    ball."""
+    ball; `sides` (e, sides), the pairs of an element."""
 
     def __init__(self, places: NDArray, gradient: NDArray, volume: NDArray, own: NDArray) -> None:
         e, k = places.shape
         count = len(own)
         first, second = np.repeat(places, k, axis=1).ravel().astype(np.int64), np.tile(places, k).ravel()
         code, pair = np.unique(first * count + second, return_inverse=True)
-        pair = pair.ravel()
         self.own, self.other = np.divmod(code, count)
-        share = volume / k
-        slope = np.broadcast_to((share[:, None, None] * gradient)[:, None], (e, k, *gradient.shape[1:]))
-        self.slope = _sums(pair, slope.reshape(len(pair), -1), len(code))
-        self.back = self.slope[np.searchsorted(code, self.other * count + self.own)]
+        self.pair, self.corners, self.share = pair.ravel(), k, volume / k
+        self.area = self.share[:, None, None] * gradient
         strength = volume * own[places].mean(axis=1)
-        link = strength[:, None, None] * np.einsum("eia,eja->eij", gradient, gradient)
-        self.link = _sums(pair, link.reshape(len(pair), 1), len(code))[:, 0]
-        self.volume = np.bincount(places.ravel(), np.repeat(share, k), count)
+        self.links = (strength[:, None, None] * np.einsum("eia,eja->eij", gradient, gradient)).ravel()
+        self.slope = np.stack([self._sum(np.tile(one, k).ravel()) for one in np.moveaxis(self.area, 2, 0)], axis=1)
+        self.back = self.slope[np.searchsorted(code, self.other * count + self.own)]
+        self.link = self._sum(self.links)
+        self.volume = np.bincount(places.ravel(), np.repeat(self.share, k), count)
+        upper = np.ravel_multi_index(np.triu_indices(k, 1), (k, k))
+        self.sides = self.pair.reshape(e, k * k)[:, upper]
 
+    def _sum(self, values: NDArray) -> NDArray[np.float64]:
+        """Sums (p,) over the corners' pairs in elements (e k k,)."""
+        return np.asarray(np.bincount(self.pair, values, len(self.own)), dtype=np.float64)
 
-def _sums(pair: NDArray, values: NDArray, count: int) -> NDArray[np.float64]:
-    """Sums (count, w) of values (r, w) over equal pairs."""
-    return np.stack([np.bincount(pair, one, count) for one in values.T], axis=1)
+    def parts(self) -> tuple[NDArray, dict[str, NDArray]]:
+        """List what each element adds, those of pair k from first[k] to first[k + 1]: first, and columns."""
+        order = np.argsort(self.pair, kind="stable")
+        element, corner = np.divmod(order, self.corners**2)
+        own, other = np.divmod(corner, self.corners)
+        columns = {"slope": self.area[element, other], "back": self.area[element, own], "link": self.links[order]}
+        columns |= {"element": element, "volume": self.share[element]}
+        return np.append(0, np.cumsum(np.bincount(self.pair))), columns
 
 
 def _lowest_free(pinned: Any, own: NDArray, other: NDArray) -> NDArray[np.int64]:

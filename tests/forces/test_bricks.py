@@ -50,7 +50,7 @@ def forces(scene: ts.Scene) -> np.ndarray:
         return (sim.velocity - scene.velocity) / h * scene.mass[:, None]
 
 
-def downhill(scene: ts.Scene, at: np.ndarray | None = None) -> np.ndarray:
+def downhill(scene: ts.Scene, at: np.ndarray | None = None, torn: np.ndarray | None = None) -> np.ndarray:
     """Less the derivative (n, dim) of the energy by the places [N]."""
     at = scene.position if at is None else at
     gradient = np.zeros_like(at)
@@ -58,7 +58,8 @@ def downhill(scene: ts.Scene, at: np.ndarray | None = None) -> np.ndarray:
         there = at[None] + np.zeros((2, 1, 1))
         there[0][k] += 1e-6
         there[1][k] -= 1e-6
-        gradient[k] = np.subtract(*(diagnostics.energy(scene, x, scene.velocity).spring for x in there)) / 2e-6
+        stored = (diagnostics.energy(scene, x, scene.velocity, torn=torn).spring for x in there)
+        gradient[k] = np.subtract(*stored) / 2e-6
     return -gradient
 
 

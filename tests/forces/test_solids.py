@@ -82,6 +82,29 @@ def test_viscosity_does_not_resist_rotation(dim) -> None:
     assert np.abs(forces(scene) - expected).max() < (1e-5 if F64 else 3e-3) * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_elements_with_a_torn_side_act_no_more(dim) -> None:
+    """The others go on; a ball that has lost all of its elements is free."""
+    scene = block(dim)
+    sides = np.unique(np.sort(scene.solids[[0, 1, 9], :2], axis=1), axis=0)
+    lonely = np.flatnonzero(np.bincount(scene.solids.ravel()) == 1)
+    if len(lonely):
+        of = scene.solids[(scene.solids == lonely[0]).any(axis=1)][0]
+        sides = np.concatenate([sides, [[lonely[0], next(k for k in of if k != lonely[0])]]])
+    scene.add_springs(sides, stiffness=0.0, rest_length=1e-3, break_strain=1.0)
+    torn = np.ones(len(sides), dtype=bool)
+    h = 1e-6 if F64 else 1e-3
+    with simulate(scene, integrator="symplectic_euler", dt=h, substeps=1, contacts="off") as sim:
+        sim.step(1)
+        assert sim.torn.all()
+        before, at = sim.velocity, sim.position
+        assert sim.energy().spring == pytest.approx(diagnostics.energy(scene, at, before, torn=torn).spring, rel=1e-5)
+        sim.step(1)
+        found = (sim.velocity - before) / h * scene.mass[:, None]
+    expected = downhill(scene, at, torn)
+    assert np.abs(found - expected).max() < (1e-5 if F64 else 2e-3) * np.abs(expected).max()
+
+
 @pytest.mark.once
 @pytest.mark.parametrize("dim", [2, 3])
 def test_small_strains_have_the_given_moduli(dim) -> None:
