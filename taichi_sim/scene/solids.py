@@ -175,33 +175,31 @@ def _averages_of(scene: Any) -> Averages:
 def rates_of(rest: Floats, mass: Floats, at: Averages) -> tuple[float, float]:
     """Largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of elements at rest, for balls of so much mass (n,) [kg], and with
     room for what is stretched."""
-    whole, averaged, volume = operators(rest, at)
+    averaged, link, here = operators(rest, at)
     dim = rest.shape[2]
-    here = np.bincount(at.places.ravel(), np.repeat(volume, dim + 1)) / (dim + 1)
-    root = np.repeat(mass[at.balls] ** -0.5, dim)
-    own = np.repeat(volume * at.own[at.places].mean(axis=1), dim * dim)
+    root = mass[at.balls, None] ** -0.5
 
-    def strained(v: Floats, mu: Floats, lam: Floats) -> Floats:
+    def strained(v: Floats, mu: Floats, lam: Floats, own: Floats) -> Floats:
         """Forces of the averaged strains of displacements v."""
         h = (averaged @ v).reshape(-1, dim, dim)
-        stress = mu[:, None, None] * (h + np.swapaxes(h, 1, 2))
+        stress = mu[:, None, None] * (h + np.swapaxes(h, 1, 2)) - own[:, None, None] * h
         stress += (lam * np.trace(h, axis1=1, axis2=2))[:, None, None] * np.eye(dim)
-        return averaged.T @ (here[:, None, None] * stress).ravel()
+        return np.asarray(averaged.T @ (here[:, None, None] * stress).reshape(-1, dim))
 
     def elastic(v: Floats) -> Floats:
-        less = averaged.T @ (np.repeat(here * at.own, dim * dim) * (averaged @ v))
-        return strained(v, at.mu, at.lam) - less + whole.T @ (own * (whole @ v))
+        return root * (strained(root * v, at.mu, at.lam, at.own) + link @ (root * v))
 
-    rate = _largest(lambda v: root * elastic(root * v), len(root))
-    loss = 0.0
-    if at.viscosity.any():
-        loss = _largest(lambda v: root * strained(root * v, at.viscosity, 0.0 * at.lam), len(root))
+    def viscous(v: Floats) -> Floats:
+        return root * strained(root * v, at.viscosity, 0.0 * at.lam, 0.0 * at.own)
+
+    rate = _largest(elastic, (len(root), dim))
+    loss = _largest(viscous, (len(root), dim)) if at.viscosity.any() else 0.0
     return STRETCHED * rate, STRETCHED * loss
 
 
 def operators(rest: Floats, at: Averages) -> tuple[Any, Any, Floats]:
-    """Matrices that take displacements to their gradients in elements (e dim dim, b dim) and averaged at balls (b dim dim, b dim)
-    [1/m], and the volumes of elements."""
+    """Sparse matrices of displacements (b, dim): averages of their gradients, which they give as (b dim, dim), the first factor
+    counting the axes of derivatives [1/m]; forces of what elements have of their own [N/m]; and the volume of each ball."""
     from scipy import sparse
 
     gradient, volume = shape_gradients(rest)
@@ -209,22 +207,21 @@ def operators(rest: Floats, at: Averages) -> tuple[Any, Any, Floats]:
     row = np.broadcast_to(np.arange(e)[:, None, None] * dim + np.arange(dim), (e, k, dim))
     column = np.broadcast_to(at.places[:, :, None], (e, k, dim))
     slopes = sparse.csr_matrix((gradient.ravel(), (row.ravel(), column.ravel())), shape=(e * dim, len(at.balls)))
-    weight = np.repeat(volume, k)
-    weight = weight / np.bincount(at.places.ravel(), weight)[at.places.ravel()]
+    share = np.repeat(volume / k, k)
+    here = np.asarray(np.bincount(at.places.ravel(), share), dtype=np.float64)
+    weight = share / here[at.places.ravel()]
     mean = sparse.csr_matrix((weight, (at.places.ravel(), np.repeat(np.arange(e), k))), shape=(len(at.balls), e))
     averaged = sparse.kron(mean, sparse.identity(dim)).tocsr() @ slopes
-    return (
-        sparse.kron(slopes, sparse.identity(dim)).tocsr(),
-        sparse.kron(averaged, sparse.identity(dim)).tocsr(),
-        volume,
-    )
+    own = sparse.diags(np.repeat(volume * at.own[at.places].mean(axis=1), dim))
+    return averaged, (slopes.T @ own @ slopes).tocsr(), here
 
 
-def _largest(product: Any, size: int) -> float:
-    """Bound on the largest eigenvalue of a symmetric matrix, given by its products with vectors."""
+def _largest(product: Any, shape: tuple[int, int]) -> float:
+    """Bound on the largest eigenvalue of a symmetric matrix, given by its products with vectors of this shape."""
     from scipy.sparse.linalg import LinearOperator, eigsh
 
-    matrix = LinearOperator((size, size), matvec=product, dtype=np.float64)
+    size = shape[0] * shape[1]
+    matrix = LinearOperator((size, size), matvec=lambda v: product(v.reshape(shape)).ravel(), dtype=np.float64)
     start = np.random.default_rng(0).normal(size=size)
     value = eigsh(matrix, k=1, which="LA", v0=start, tol=CLOSE, return_eigenvectors=False)[0]
     return MARGIN * float(value)

@@ -144,16 +144,15 @@ def stiffness(points, corners, modulus, ratio, viscosity=0.0):
     """Stiffness and damping at rest, (n dim, n dim) sparse, of solids of one material."""
     each = np.ones(len(corners))
     at = averages(corners, shape_gradients(points[corners])[1], modulus * each, ratio * each, viscosity * each)
-    whole, averaged, volume = operators(points[corners], at)
+    averaged, link, here = operators(points[corners], at)
     dim, mu, lam = points.shape[1], at.mu[0], at.lam[0]
     one = np.eye(dim)
     swap = np.einsum("aj,ib->aibj", one, one).reshape(dim * dim, -1)
     trace = np.outer(one.ravel(), one.ravel())
-    here = sparse.diags(np.bincount(corners.ravel(), np.repeat(volume, dim + 1)) / (dim + 1))
+    averaged, link, here = sparse.kron(averaged, one), sparse.kron(link, one), sparse.diags(here)
     law = mu * (np.eye(dim * dim) + swap) + lam * trace - at.own[0] * np.eye(dim * dim)
-    own = sparse.diags(np.repeat(volume, dim * dim) * at.own[0])
     loss = averaged.T @ sparse.kron(here, viscosity * (np.eye(dim * dim) + swap)) @ averaged
-    return averaged.T @ sparse.kron(here, law) @ averaged + whole.T @ own @ whole, loss
+    return averaged.T @ sparse.kron(here, law) @ averaged + link, loss
 
 
 def bar(across: int, ratio: float, length: float = 10.0) -> float:
