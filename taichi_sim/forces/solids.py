@@ -202,7 +202,8 @@ class Solids(NeoHookean):
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block that joins ball i to itself by the stress at ball a."""
-        law, (_, b, link) = self.law[row.node], self._pair(row)
+        law = self.law[row.node]
+        _, b, link = self._pair(row)
         block = s * s * (self.change_block(row.node, b) - law.own * b.norm_sqr() * ti.Matrix.identity(float, self.dim))
         if ti.static(self.viscous):
             gradient = self.gradient[row.node]
