@@ -105,6 +105,27 @@ def test_elements_with_a_torn_side_act_no_more(dim) -> None:
     assert np.abs(found - expected).max() < (1e-5 if F64 else 2e-3) * np.abs(expected).max()
 
 
+def test_both_drivers_give_the_same_bits() -> None:
+    found = []
+    for driver in ("fused", "parallel"):
+        with simulate(block(3, viscosity=0.02), ("ordered", driver), dt=1e-3, contacts="off") as sim:
+            sim.step(100)
+            found.append(sim.position)
+    np.testing.assert_array_equal(*found)
+
+
+@pytest.mark.skipif(not F64, reason="rounding hides the small steps")
+def test_verlet_has_order_2() -> None:
+    places = []
+    for halving in range(4):
+        h = 4e-3 / 2**halving
+        with simulate(block(3, viscosity=0.02), integrator="verlet", dt=h, substeps=1, contacts="off") as sim:
+            sim.step(80 * 2**halving)
+            places.append(sim.position)
+    errors = [np.linalg.norm(one - other) for one, other in itertools.pairwise(places)]
+    assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.02)
+
+
 @pytest.mark.once
 @pytest.mark.parametrize("dim", [2, 3])
 def test_small_strains_have_the_given_moduli(dim) -> None:
