@@ -398,6 +398,7 @@ def test_a_scene_comes_back_from_its_document():
         "attachments",
         "bricks",
         "membranes",
+        "solids",
     }  # which become springs; see also their own tests
     scene = again()
     values, arrays = document(scene)

@@ -380,7 +380,7 @@ def _cells(scene: Scene) -> Iterator[Finding]:
     if turned := inverted(scene, scene.position):
         yield Finding(
             "cells",
-            f"{turned} of {len(scene.cells) + len(scene.bricks)} are inverted at the start",
+            f"{turned} of {scene.n_volumes()} are inverted at the start",
             "check their rest volumes and positions",
         )
     idle = (scene.bulk_modulus == 0.0) & (scene.crush_modulus == 0.0)

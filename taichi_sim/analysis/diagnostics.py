@@ -118,9 +118,10 @@ def check_tearing(scene: Scene) -> None:
 
 
 def inverted(scene: Scene, x: Floats) -> int:
-    """Number of cells and bricks that are flat or turned inside out, bricks at any corner. x: (n, dim) [m]."""
-    cells, bricks = cell_volumes(x, scene.cells) <= 0.0, corner_volumes(x, scene.bricks) <= 0.0
-    return int(np.count_nonzero(cells) + np.count_nonzero(bricks.any(axis=1)))
+    """Number of cells, bricks and solids that are flat or turned inside out, bricks at any corner. x: (n, dim) [m]."""
+    simplices = sum(np.count_nonzero(cell_volumes(x, corners) <= 0.0) for corners in (scene.cells, scene.solids))
+    bricks = corner_volumes(x, scene.bricks) <= 0.0
+    return int(simplices + np.count_nonzero(bricks.any(axis=1)))
 
 
 def momentum(scene: Scene, v: Floats) -> Floats:

@@ -97,7 +97,7 @@ class Frame:
     probes: Mapping[str, float] = field(default_factory=dict)  # what `Simulation.probes` said; the same
 
     def strains(self) -> "list[tuple[Ints, Floats]]":
-        """Balls (e, k) and strains (e,) [1] of springs, where they are known, and of triangles and bricks, see scene.strains."""
+        """Balls (e, k) and strains (e,) [1] of springs, where they are known, and of elements, see scene.strains."""
         return [(self.springs, self.strain)] if len(self.strain) == len(self.springs) else []
 
     @property

@@ -54,7 +54,7 @@ class Moment(Frame):
         self._strain = value
 
     def strains(self) -> Any:
-        """Those of springs, triangles and bricks."""
+        """Those of springs, triangles, bricks and solids."""
         return [*super().strains(), *element_strains(self.scene, self.position, self.torn)]
 
 

@@ -55,10 +55,11 @@ def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
     """Names of those of restitution, friction and damping that take energy in a scene. touches: there may be contacts. Of
     two materials the larger restitution and the geometric mean of frictions count, so those of the balls decide."""
     made_of = [scene.materials[k] for k in np.unique(scene.material)] if touches else []
+    losses = (scene.damping, scene.bend_damping, scene.brick_viscosity, scene.solid_viscosity)
     found = {
         "restitution": any(m.restitution < 1.0 for m in made_of),
         "friction": any(m.friction > 0.0 or m.viscous_friction > 0.0 for m in made_of),
-        "damping": bool(scene.damping.any() or scene.bend_damping.any() or scene.brick_viscosity.any()),
+        "damping": any(of.any() for of in losses),
     }
     return tuple(name for name, takes in found.items() if takes)
 
@@ -72,7 +73,7 @@ def left_out(
 ) -> Iterator[str]:
     """Errors that another run of the same scene does not show. settled: what is known of its start at rest, or None. h: its step
     [s]; end: velocities (n, dim) at the end [m/s]; at_touch: whether what bounces is solved at the moment of touch."""
-    if len(scene.pairs) or len(scene.cells) or len(scene.bricks):
+    if len(scene.pairs) or scene.n_volumes():
         yield "the mesh, see `taichi-sim report --resolutions`"
     velocities = [scene.velocity] + ([] if end is None else [end])
     if max(late_share(scene, velocity, h, at_touch) for velocity in velocities) > LATE:

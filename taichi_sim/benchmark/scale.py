@@ -55,7 +55,7 @@ def _steps(title: str, unit: str, units: int, add: Callable[[Scene], object], ar
     frame = float(np.median(seconds)) / (FPS * simulation.dt)
     size = sum(breakdown(simulation).values())
     report.notes += [
-        f"{scene.n_balls} balls, {scene.n_springs} springs, {len(scene.cells)} cells, {len(scene.bricks)} bricks:"
+        f"{scene.n_balls} balls, {scene.n_springs} springs, {scene.n_volumes()} cells, bricks and solids:"
         f" shape {described:.1f} s, simulation {built - described:.1f} s, first step with compiling {ready - built:.1f} s",
         f"a step is {simulation.dt:.3g} s, so a frame of 1/{FPS:g} s takes {frame:.3g} s",
         f"fields {size / 1e9:.2f} GB; the process at most {_peak():.2f} GB so far, goal < 12",

@@ -5,16 +5,15 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.forces.incidence import Corners
-from taichi_sim.scene.bricks import lame, laws, neo_hookean
+from taichi_sim.forces.neo_hookean import NeoHookean
+from taichi_sim.scene.bricks import laws
+from taichi_sim.scene.neo_hookean import constants, lame
 
 __all__ = ["Bricks"]
 
-SWEEPS = 5  # of Jacobi's method over the entries of a matrix: to rounding in double precision
-
 
 @ti.data_oriented
-class Bricks(Corners):
+class Bricks(NeoHookean):
     """Forces of the energy V (m (I - 3 - log(I + 1)) / 2 + k (J - alpha)^2 / 2 + E(Q) / 2), I and J those of F at the centre, Q_p
     = F^T q_p for the amplitudes q_p of what is not linear: rotations cancel. See scene.bricks for E.
 
@@ -41,7 +40,7 @@ class Bricks(Corners):
         own, law = laws(scene)
         modulus, ratio, size = own[:, 0], own[:, 1], own[:, 2:-1]
         mu, lam = lame(dim, modulus, ratio)
-        m, k, alpha = neo_hookean(mu, lam)
+        m, k, alpha = constants(mu, lam)
         values = {
             "m": m,
             "k": k,
@@ -133,21 +132,6 @@ class Bricks(Corners):
         return t
 
     @ti.func
-    def _stress(self, gradient, law):
-        """First Piola-Kirchhoff stress (dim, dim) [Pa, in 2D N/m] of the centre."""
-        shape = gradient.norm_sqr() + (3 - self.dim)
-        pressure = law.k * (gradient.determinant() - law.alpha)
-        stress = law.m * (1.0 - 1.0 / (shape + 1.0)) * gradient
-        for s in ti.static(range(self.dim)):
-            for j in ti.static(range(self.dim)):
-                if ti.static(self.dim == 2):
-                    stress[j, s] += (1 - 2 * ((j + s) % 2)) * pressure * gradient[1 - j, 1 - s]
-                else:
-                    a, b, c, d = ti.static((j + 1) % 3, (j + 2) % 3, (s + 1) % 3, (s + 2) % 3)
-                    stress[j, s] += pressure * (gradient[a, c] * gradient[b, d] - gradient[a, d] * gradient[b, c])
-        return stress
-
-    @ti.func
     def _push(self, e, law, stress, gradient, u, t):
         """Write the forces on the corners of brick e, of the stress of the centre and the derivative by Q."""
         f = ti.Matrix.zero(float, self.k, self.dim)
@@ -177,7 +161,7 @@ class Bricks(Corners):
             law = self.law[self.brick[e].law]
             u = self._amplitudes(ball, e, "x", float)
             gradient = self._gradient(u, law.slope, float)
-            stress, q = self._stress(gradient, law), self._turned_back(gradient, u, float)
+            stress, q = self.stress_of(gradient, law), self._turned_back(gradient, u, float)
             if ti.static(self.viscous):
                 w = self._amplitudes(ball, e, "v", float)
                 change = self._gradient(w, law.slope, float)
@@ -186,104 +170,18 @@ class Bricks(Corners):
                 q += law.delay * (self._turned_back(change, u, float) + self._turned_back(gradient, w, float))
             self._push(e, law, stress, gradient, u, self._bending(q, law, float))
 
-    # The derivatives, for implicit methods: that of the stress in the principal axes, U H(U^T dF V) V^T, without what is
-    # negative; of Q the part that is never negative
+    # The derivatives, for implicit methods: those of Q without what is negative
 
     def allocate_derivatives(self, fields: Fields) -> None:
-        """Principal axes of each brick, and how its stress changes along and across them; blocks of its corners."""
-        dim, count = self.dim, self.count
-        self.left, self.right, self.along = (fields.matrices(count, dim) for _ in range(3))
-        self.across = fields.matrices(
-            count, dim
-        )  # of the pair (i, j): of its sum where i < j, of its difference where i > j
-        self.block = fields.matrices(count * self.k, dim)  # kg
-
-    @ti.func
-    def _find_axes(self, e, gradient, law):
-        """Write the principal axes of brick e and the stiffness in them (Smith, de Goes, Kim 2019)."""
-        u, sigma, v = ti.svd(gradient, self.real)
-        shape = gradient.norm_sqr() + (3 - self.dim)
-        stretch, product = ti.Vector.zero(float, self.dim), ti.cast(1.0, float)
-        for i in ti.static(range(self.dim)):
-            stretch[i] = sigma[i, i]
-        last = ti.static(self.dim - 1)
-        if u.determinant() * v.determinant() < 0.0:
-            stretch[last] = -stretch[last]
-            for j in ti.static(range(self.dim)):
-                u[j, last] = -u[j, last]
-        for i in ti.static(range(self.dim)):
-            product *= stretch[i]
-        base, pressure = law.m * (1.0 - 1.0 / (shape + 1.0)), law.k * (product - law.alpha)
-        along, across = ti.Matrix.zero(float, self.dim, self.dim), ti.Matrix.zero(float, self.dim, self.dim)
-        for i in ti.static(range(self.dim)):
-            for j in ti.static(range(self.dim)):
-                third = ti.cast(1.0, float)
-                if ti.static(self.dim == 3 and i != j):
-                    third = stretch[ti.static(3 - i - j)]
-                rises, falls = ti.cast(1.0, float), ti.cast(1.0, float)  # of J with each of both
-                for l in ti.static(range(self.dim)):
-                    if ti.static(l != i):
-                        rises *= stretch[l]
-                    if ti.static(l != j):
-                        falls *= stretch[l]
-                along[i, j] = law.k * rises * falls + law.m * 2.0 / (shape + 1.0) ** 2 * stretch[i] * stretch[j]
-                if ti.static(i == j):
-                    along[i, j] += base
-                else:
-                    along[i, j] += pressure * third
-                if ti.static(i < j):
-                    across[i, j] = max(0.0, base - pressure * third)
-                if ti.static(i > j):
-                    across[i, j] = max(0.0, base + pressure * third)
-        self.left[e], self.right[e], self.along[e], self.across[e] = u, v, self._without_negative(along), across
-
-    @ti.func
-    def _without_negative(self, matrix):
-        """Symmetric matrix (dim, dim) without its negative eigenvalues, by Jacobi's rotations: equal ones do no harm."""
-        d, axes = matrix, ti.Matrix.identity(float, self.dim)
-        for _ in range(SWEEPS):
-            for i in ti.static(range(self.dim)):
-                for j in ti.static(range(i + 1, self.dim)):
-                    if abs(d[i, j]) > 0.0:
-                        half = 0.5 * (d[j, j] - d[i, i]) / d[i, j]
-                        tangent = ti.select(half < 0.0, -1.0, 1.0) / (abs(half) + ti.sqrt(half * half + 1.0))
-                        c = 1.0 / ti.sqrt(tangent * tangent + 1.0)
-                        sine = tangent * c
-                        for k in ti.static(range(self.dim)):
-                            one, other = d[k, i], d[k, j]
-                            d[k, i], d[k, j] = c * one - sine * other, sine * one + c * other
-                            one, other = axes[k, i], axes[k, j]
-                            axes[k, i], axes[k, j] = c * one - sine * other, sine * one + c * other
-                        for k in ti.static(range(self.dim)):
-                            one, other = d[i, k], d[j, k]
-                            d[i, k], d[j, k] = c * one - sine * other, sine * one + c * other
-        for i in ti.static(range(self.dim)):
-            for j in ti.static(range(self.dim)):
-                if ti.static(i == j):
-                    d[i, j] = max(0.0, d[i, j])
-                else:
-                    d[i, j] = 0.0
-        return axes @ d @ axes.transpose()
-
-    @ti.func
-    def _stress_change(self, e, change):
-        """Change of the stress by one of the deformation gradient (dim, dim)."""
-        u, v, along, across = self.left[e], self.right[e], self.along[e], self.across[e]
-        d = u.transpose() @ change @ v
-        r = ti.Matrix.zero(float, self.dim, self.dim)
-        for i in ti.static(range(self.dim)):
-            for j in ti.static(range(self.dim)):
-                r[i, i] += along[i, j] * d[j, j]
-                if ti.static(i < j):
-                    same, turned = 0.5 * across[i, j] * (d[i, j] + d[j, i]), 0.5 * across[j, i] * (d[i, j] - d[j, i])
-                    r[i, j], r[j, i] = same + turned, same - turned
-        return u @ r @ v.transpose()
+        """Declare the axes of bricks, and blocks of their corners."""
+        self.allocate_axes(self.count, fields)
+        self.block = fields.matrices(self.count * self.k, self.dim)  # kg
 
     @ti.func
     def _changes(self, e, law, gradient, u, change, moved, s):
         """Change of stress and of the derivative by Q, both times s^2, and with those by viscosity times s, where the gradient
         changes by `change` and the amplitudes by `moved`."""
-        stress = s * s * self._stress_change(e, change)
+        stress = s * s * self.stress_change(e, change)
         factor = s * s
         if ti.static(self.viscous):
             strain = gradient.transpose() @ change
@@ -299,7 +197,7 @@ class Bricks(Corners):
             law = self.law[self.brick[e].law]
             u = self._amplitudes(ball, e, "x", float)
             gradient = self._gradient(u, law.slope, float)
-            self._find_axes(e, gradient, law)
+            self.find_axes(e, gradient, law)
             for c in range(self.k):
                 for j in range(self.dim):
                     self._block_column(e, law, gradient, u, c, j, s)
@@ -386,8 +284,7 @@ class Bricks(Corners):
         gradient = self._gradient(u, law.slope, real)
         q = self._turned_back(gradient, u, real)
         t = self._bending(q, law, real)
-        shape, off = gradient.norm_sqr() + (3 - self.dim), gradient.determinant() - law.alpha
-        stored = law.m * (shape - 3.0 - ti.log((shape + 1.0) / 4.0)) + law.k * (off * off - (1.0 - law.alpha) ** 2)
+        stored = self.doubled_density(gradient, law)
         for p in ti.static(self.bent):
             for s in ti.static(range(self.dim)):
                 stored += q[p, s] * t[p, s]

@@ -43,6 +43,7 @@ from taichi_sim.forces.gas import Gases
 from taichi_sim.forces.incidence import Corners
 from taichi_sim.forces.membranes import Membranes
 from taichi_sim.forces.motors import motors_of
+from taichi_sim.forces.solids import Solids
 from taichi_sim.forces.springs import Springs
 from taichi_sim.forces.wind import Wind
 from taichi_sim.scene.elements import ELEMENTS
@@ -54,6 +55,7 @@ KERNELS: Mapping[str, Any] = {
     "membranes": Membranes,
     "cells": Cells,
     "bricks": Bricks,
+    "solids": Solids,
     "bending": Bending,
     "gases": Gases,
     "wind": Wind,
@@ -62,8 +64,8 @@ KERNELS: Mapping[str, Any] = {
 
 @ti.data_oriented
 class TotalForce:
-    """Gravity, springs, the scene's elements (cells, bricks, bending, gas, wind) and the user's forces. What the scene lacks
-    compiles to nothing."""
+    """Gravity, springs, the scene's elements (cells, bricks, solids, bending, gas, wind) and the user's forces. What the scene
+    lacks compiles to nothing."""
 
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         self.model, self.n = model, model.n

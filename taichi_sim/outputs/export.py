@@ -493,7 +493,7 @@ def export(
         torn = simulation.torn
         if torn is not None:
             summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
-        if len(simulation.scene.cells) + len(simulation.scene.bricks):
+        if simulation.scene.n_volumes():
             _count_inverted(summary, simulation.inverted())
         if simulation.scene.dim == 3 and not simulation.scene.solid.all():
             few = len(simulation.scene.triangles) <= WATCHED_TRIANGLES
@@ -556,7 +556,7 @@ def _observed(
         clock.charge("simulating")
         summary.steady += not clock.starts
         frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
-        if len(simulation.scene.cells) + len(simulation.scene.bricks) <= WATCHED_CELLS:
+        if simulation.scene.n_volumes() <= WATCHED_CELLS:
             _count_inverted(summary, inverted(simulation.scene, frame.position))
         _observe(summary, frame)
         if frame.contacts.number:

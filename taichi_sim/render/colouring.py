@@ -40,8 +40,8 @@ FULL_STRAIN = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Colouring:
-    """quantity: "strain" (the mean of the absolute strains of a ball's springs, triangles and bricks) or "speed" [m/s]; low,
-    high: the values that get the first and the last colour. Beyond them the colour stays."""
+    """quantity: "strain" (the mean of the absolute strains of a ball's springs, triangles, bricks and solids) or "speed" [m/s];
+    low, high: the values that get the first and the last colour. Beyond them the colour stays."""
 
     quantity: str
     low: float

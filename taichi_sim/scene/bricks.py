@@ -11,24 +11,20 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
+from taichi_sim.scene.neo_hookean import MOST_RATIO, STRETCHED, density, lame
 from taichi_sim.scene.part import Columns, Element
 
 __all__ = [
     "BRICKS",
-    "MOST_RATIO",
     "BrickMethods",
     "at_rest",
     "corner_volumes",
-    "lame",
     "laws",
-    "neo_hookean",
     "rates_at_rest",
 ]
 
 Floats = NDArray[np.float64]
-MOST_RATIO = {2: 0.9996, 3: 0.4999}  # Poisson's, by the dimensions: in 2D that of plane strain with the other
 NOT_A_BOX = 1e-6  # of its size, how far a corner may lie off
-ROOM = 4.0  # times the stiffness at rest: a face that is stretched to twice its area
 
 
 class BrickMethods:
@@ -124,11 +120,7 @@ class _Bricks(Columns, Element):
         """Energies (b,) [J] of the bricks with corners at x (b, 2^dim, dim) [m]."""
         gradient, bent = _patterns(x, scene.brick_size)
         mu, lam = lame(scene.dim, scene.brick_modulus, scene.brick_ratio)
-        m, k, alpha = neo_hookean(mu, lam)
-        shape = np.sum(gradient**2, axis=(1, 2)) + (3 - scene.dim)
-        change = np.linalg.det(gradient)
-        stored = 0.5 * m * (shape - 3.0 - np.log((shape + 1.0) / 4.0))
-        stored += 0.5 * k * ((change - alpha) ** 2 - (1.0 - alpha) ** 2)
+        stored = density(gradient, mu, lam)
         strain = np.einsum("bai,bpa->bpi", gradient, bent)  # F^T q
         own, law = np.unique(_rows(scene)[:, :-1], axis=0, return_inverse=True)
         stiff = np.array([stabilisation(row[2:], row[0], row[1]) for row in own]).reshape(
@@ -143,28 +135,15 @@ class _Bricks(Columns, Element):
             return 0.0, 0.0
         volume = scene.brick_size.prod(axis=1)
         around = np.bincount(scene.bricks.ravel(), np.repeat(volume, scene.bricks.shape[1]), scene.n_balls)
-        density = np.where(scene.pinned, np.inf, scene.mass)[scene.bricks] / around[scene.bricks]  # of corners
+        weight = np.where(scene.pinned, np.inf, scene.mass)[scene.bricks] / around[scene.bricks]  # of corners
         own, law = np.unique(_rows(scene), axis=0, return_inverse=True)
         least = np.full(len(own), np.inf)
-        np.minimum.at(least, law.ravel(), density.min(axis=1))
+        np.minimum.at(least, law.ravel(), weight.min(axis=1))
         rates = np.array([rates_at_rest(row[2:-1], row[0], row[1], row[-1]) for row in own]) / least[:, None]
         return float(rates[:, 0].max()), float(rates[:, 1].max())
 
 
 BRICKS = _Bricks()
-
-
-def lame(dim: int, young_modulus: Any, poisson_ratio: Any) -> tuple[Any, Any]:
-    """Lame's constants mu and lambda [Pa, in 2D N/m]."""
-    mu = young_modulus / (2.0 * (1.0 + poisson_ratio))
-    return mu, 2.0 * mu * poisson_ratio / (1.0 - (dim - 1) * poisson_ratio)
-
-
-def neo_hookean(mu: Any, lam: Any) -> tuple[Any, Any, Any]:
-    """Constants m and k [Pa, in 2D N/m] and alpha [1] of the stable neo-Hookean energy m (I - 3 - log(I + 1)) / 2
-    + k (J - alpha)^2 / 2, whose small strains have the constants mu and lambda (Smith, de Goes, Kim 2018)."""
-    m, k = 4.0 / 3.0 * mu, lam + 5.0 / 6.0 * mu
-    return m, k, 1.0 + 0.75 * m / k
 
 
 def _patterns(x: Floats, size: Floats) -> tuple[Floats, Floats]:
@@ -252,7 +231,7 @@ def rates_at_rest(
     """Largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of bricks at rest, for balls of a mass of 1 kg for each m^dim of the
     bricks around, and with room for what is stretched."""
     stiff = at_rest(size, young_modulus, poisson_ratio) / float(np.prod(size))
-    elastic, loss = (ROOM * float(np.linalg.eigvalsh(part)[-1]) for part in stiff)
+    elastic, loss = (STRETCHED * float(np.linalg.eigvalsh(part)[-1]) for part in stiff)
     return elastic, viscosity / lame(len(size), young_modulus, poisson_ratio)[0] * loss
 
 

@@ -16,19 +16,24 @@ from taichi_sim.scene.cells import CELLS, CellMethods
 from taichi_sim.scene.gases import GASES, GasMethods
 from taichi_sim.scene.membranes import MEMBRANES, MembraneMethods
 from taichi_sim.scene.part import Element
+from taichi_sim.scene.solids import SOLIDS, SolidMethods
 from taichi_sim.scene.wind import WIND, WindMethods
 
 __all__ = ["ELEMENTS", "Elements"]
 
-ELEMENTS: tuple[Element, ...] = (MEMBRANES, CELLS, BRICKS, BENDING, GASES, WIND)
+ELEMENTS: tuple[Element, ...] = (MEMBRANES, CELLS, BRICKS, SOLIDS, BENDING, GASES, WIND)
 
 
-class Elements(MembraneMethods, CellMethods, BrickMethods, BendingMethods, GasMethods, WindMethods):
+class Elements(MembraneMethods, CellMethods, BrickMethods, SolidMethods, BendingMethods, GasMethods, WindMethods):
     """The part of a Scene that holds them; every `add_` raises SceneError and then changes nothing."""
 
     def has_elements(self) -> bool:
         """True if forces besides gravity, springs and contacts act."""
         return any(element.acts(self) for element in ELEMENTS)
+
+    def n_volumes(self: Any) -> int:
+        """Number of cells, bricks and solids, which can be turned inside out."""
+        return len(self.cells) + len(self.bricks) + len(self.solids)
 
     def joined(self: Any) -> NDArray[np.bool_]:
         """Mask (n,) of the balls that belong to a spring or to an element."""

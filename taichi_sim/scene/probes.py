@@ -111,7 +111,8 @@ class Length(Probe):
     def make(cls, scene: Any, name: str, asked: Mapping[str, Any]) -> Probe:
         one = _only_one(cls.kind, asked)
         if not scene.n_springs:
-            made = [what for what, parts in (("triangles", scene.membranes), ("bricks", scene.bricks)) if len(parts)]
+            parts = {"triangles": scene.membranes, "bricks": scene.bricks, "solids": scene.solids}
+            made = [what for what, some in parts.items() if len(some)]
             says = "the scene has no spring yet; add the probe after the springs"
             if made:
                 says = (
@@ -145,8 +146,8 @@ class Tension(Length):
 
 
 class Strain(Probe):
-    """Strains of what is whole: (length - rest) / rest of springs that have a rest length, and of triangles and bricks the
-    principal strain that is largest in amount. The largest, the least, the mean."""
+    """Strains of what is whole: (length - rest) / rest of springs that have a rest length, and of triangles, bricks and solids
+    the principal strain that is largest in amount. The largest, the least, the mean."""
 
     kind, takes, units = "strain", ("springs", "balls"), {"max": "", "min": "", "mean": ""}
 
@@ -157,8 +158,9 @@ class Strain(Probe):
         if _only_one(cls.kind, asked) == "springs":
             return cls(name, {"springs": _several("spring", asked["springs"], scene.n_springs)})
         balls = _balls(scene, asked["balls"])
-        if not any(np.isin(k, balls).all(axis=1).any() for k in (scene.pairs, scene.membranes, scene.bricks)):
-            says = "no spring, triangle or brick lies between them; there is no strain to measure"
+        strained = (scene.pairs, scene.membranes, scene.bricks, scene.solids)
+        if not any(np.isin(k, balls).all(axis=1).any() for k in strained):
+            says = "no spring, triangle, brick or solid lies between them; there is no strain to measure"
             raise SceneError("probes.balls", says=says)
         return cls(name, {"balls": balls})
 
@@ -351,8 +353,9 @@ class Probed:
                 "position" of `balls`, their mean, or of the ball nearest to the point `at` [m] now: x, y, z, magnitude [m].
                 "length" [m] and "tension" [N] of `spring`, or of that whose middle is nearest to `at`. The tension is the force
                 that it carries, k (L - L0) + c dL/dt: elastic and damping force, positive where it pulls; 0 once torn.
-                "strain" of `springs`, or of all springs, triangles and bricks between `balls` or in the scene: max, min, mean.
-                That of a spring is (L - L0) / L0, of the others the largest principal strain in amount, of a brick at its centre.
+                "strain" of `springs`, or of all springs, triangles, bricks and solids between `balls` or in the scene: max, min,
+                mean. That of a spring is (L - L0) / L0, of the others the largest principal strain in amount, of a brick at its
+                centre.
                 "energy" of the whole scene: kinetic, spring, gravity, total [J].
                 "force" [N] on `wall` or `collider`, the mean since the probe was last read, and "impulse" [N s], since the start:
                 x, y, z, magnitude of what balls gave it by pressing, hitting and friction.

@@ -1,4 +1,4 @@
-"""Strains of triangles and bricks, and which elements tearing springs leave whole."""
+"""Strains of triangles, bricks and solids, and which elements tearing springs leave whole."""
 
 from typing import Any
 
@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.scene.bricks import BRICKS
 from taichi_sim.scene.membranes import MEMBRANES
+from taichi_sim.scene.solids import SOLIDS
 
 __all__ = ["cut", "element_strains"]
 
@@ -14,12 +15,12 @@ Floats = NDArray[np.float64]
 
 
 def element_strains(scene: Any, x: Floats, torn: NDArray[np.bool_] | None) -> list[tuple[NDArray, Floats]]:
-    """Balls (e, k) and strains (e,) [1] of the triangles, and of the bricks, of a scene at x (n, dim) [m]. torn: springs (m,).
+    """Balls (e, k) and strains (e,) [1] of the triangles, bricks and solids of a scene at x (n, dim) [m]. torn: springs (m,).
 
     The strain is the principal one that is the largest in amount, with its sign; that of a brick at its centre.
     """
     found = []
-    for element in (MEMBRANES, BRICKS):
+    for element in (MEMBRANES, BRICKS, SOLIDS):
         corners = element.corners(scene)
         if torn is not None and torn.any():
             whole = ~cut(corners, scene.pairs[torn], scene.n_balls)

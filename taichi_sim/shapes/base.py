@@ -43,13 +43,8 @@ SURFACE_PART = (
 )  # of the usual radius, 0.45 of a spacing: triangles that collide need no balls without gaps between
 SAFE_STEP = 1e-3  # s, the step at which every default stiffness is stable
 SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in stiffness
-BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES, BRICK_BYTES = (
-    800,
-    130,
-    250,
-    400,
-    600,
-)  # at most, while built and made to run
+# at most, while built and made to run
+BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES, BRICK_BYTES, SOLID_BYTES = 800, 130, 250, 400, 600, 2000
 LITTLE = 100_000  # bytes that there always are
 DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
 
@@ -75,6 +70,7 @@ class Shape:
     triangles: NDArray[np.int32] = field(default_factory=lambda: _none(0, 3))  # (t, 3), counter-clockwise from outside
     cells: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (c,)
     bricks: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (b,)
+    solids: NDArray[np.int32] = field(default_factory=lambda: _none(0))  # (e,)
 
     @classmethod
     def of(cls, parts: Sequence[Shape]) -> Shape:
@@ -129,6 +125,15 @@ class Bricks(NamedTuple):
     poisson_ratio: float
     viscosity: float
     rest_size: NDArray[np.float64]  # (dim,) m
+
+
+class Solids(NamedTuple):
+    """Tetrahedra, in 2D triangles, within a shape, as `Scene.add_solids` takes them."""
+
+    corners: NDArray[np.int64]  # (e, dim + 1) of its balls
+    young_modulus: float
+    poisson_ratio: float
+    viscosity: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,12 +209,19 @@ def with_preset(
 
 
 def affordable(
-    where: str, value: Any, balls: float, springs: float, cells: float = 0.0, bends: float = 0.0, bricks: float = 0.0
+    where: str,
+    value: Any,
+    balls: float,
+    springs: float,
+    cells: float = 0.0,
+    bends: float = 0.0,
+    bricks: float = 0.0,
+    solids: float = 0.0,
 ) -> None:
     """Raise SceneError where building and running a shape of so many parts needs more memory than there is."""
     balls, springs = float(balls), float(springs)
     need = balls * BALL_BYTES + springs * SPRING_BYTES + cells * CELL_BYTES + bends * BEND_BYTES
-    need += bricks * BRICK_BYTES
+    need += bricks * BRICK_BYTES + solids * SOLID_BYTES
     if need < LITTLE:
         return
     free = available()
@@ -309,6 +321,7 @@ def build(
     bends: Bends | None = None,
     cells: Cells | None = None,
     bricks: Bricks | None = None,
+    solids: Solids | None = None,
     break_strain: float | None = None,
     uv: NDArray | None = None,
 ) -> Shape:
@@ -366,8 +379,10 @@ def build(
         if bends is not None and bends.stiffness.any():
             scene.add_bending(balls[bends.corners], weights=bends.weights, stiffness=bends.stiffness, hinge=bends.hinge)
         filled = {}
-        for name, add, some in (("cells", scene.add_cells, cells), ("bricks", scene.add_bricks, bricks)):
+        kinds_of = (("cells", cells), ("bricks", bricks), ("solids", solids))
+        for name, some in kinds_of:
             if some is not None and len(some.corners):
                 more = some._asdict()
+                add = getattr(scene, f"add_{name}")
                 filled[name] = add(balls[more.pop("corners")], **more)
         return Shape(balls, springs, faces, **filled)

@@ -15,14 +15,13 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import mesh as meshes
-from taichi_sim.scene.bricks import MOST_RATIO, lame, rates_at_rest
+from taichi_sim.scene.neo_hookean import MOST_RATIO, lame
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import jelly_material
 from taichi_sim.shapes.base import (
     DAMPING_RATIO,
     SAFE_MARGIN,
     SAFE_STEP,
-    Bricks,
     Cells,
     Part,
     Pins,
@@ -87,8 +86,8 @@ def jelly(
     """A block of jelly from the origin toward the positive axes: a box lattice in 3D, a rectangle in 2D; or a filled mesh.
 
     With any of density, young_modulus and poisson_ratio it is made of a material and the same at every resolution: its boxes are
-    bricks, see Scene.add_bricks, and balls weigh what the volume around them does. A mesh keeps its coordinates, is always of a
-    material, and shows its own surface.
+    bricks, see Scene.add_bricks, its tetrahedra solids, see Scene.add_solids, and balls weigh what the volume around them does. A
+    mesh keeps its coordinates, is always of a material, and shows its own surface.
 
     Otherwise springs run along the edges and the diagonals of faces and cells, their stiffness in the ratio that makes the
     lattice elastic alike in all directions (see `_lattice`). In 3D the surface has triangles. Ball (i, j, k) has
@@ -107,8 +106,7 @@ def jelly(
         poisson_ratio: how much it narrows when pulled [1], 0 to 0.4999 (in 2D 0.9996); 1/4 (in 2D 1/3) by default, 0.4 for a
             mesh. In 2D modulus and ratio are those of a sheet in its plane, see Scene.add_bricks.
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
-            the package pytetwild, which takes closed meshes alone and, each time, other points. Tetrahedra are made of springs
-            and cells, at ratios from 1/4 on.
+            the package pytetwild, which takes closed meshes alone and, each time, other points.
         damping: of each spring [N s/m]. In a material the viscosity that springs of such damping along all edges would give.
             A tenth of the critical damping of two neighbouring balls by default.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
@@ -145,7 +143,7 @@ def jelly(
             guarded = strength if stiffness is None else 0.0
             cells = cells._replace(crush_modulus=guarded * cells.crush_modulus)
             return build(scene, "jelly", points, kinds, triangles, part, strength, drag, cells=cells)
-        body: jelly_material.Solid | jelly_material.Boxes
+        body: jelly_material.Simplices | jelly_material.Boxes
         body, extent, default_radius = _solid_block(block, factor)
         volume, skin = float(np.prod(extent)), None
         default_radius *= thinner
@@ -197,7 +195,7 @@ def jelly(
 def of_body(
     scene: Scene,
     shape: str,
-    body: jelly_material.Solid | jelly_material.Boxes,
+    body: jelly_material.Simplices | jelly_material.Boxes,
     mass: float,
     height: float,
     default_radius: float,
@@ -221,28 +219,23 @@ def of_body(
         raise SceneError(f"{shape}.surface_collision", says="needs a scene with dim = 3")
     masses = body.volume * (mass / float(body.volume.sum()))
     ratio = 1 / (scene.dim + 1) if poisson_ratio is None else poisson_ratio
-    least = 0.0 if isinstance(body, jelly_material.Boxes) else 1 / (scene.dim + 1) - 1e-9  # that of springs
-    ratio = validation.number(f"{shape}.poisson_ratio", ratio, low=least, high=MOST_RATIO[scene.dim])
-    modulus = or_default(f"{shape}.young_modulus", young_modulus, _wobbly(body, masses, height, ratio, bounded))
+    ratio = validation.number(f"{shape}.poisson_ratio", ratio, low=0, high=MOST_RATIO[scene.dim])
+    if young_modulus is None:
+        modulus = _wobbly(body, masses, height, ratio, bounded)
+    else:
+        modulus = validation.number(f"{shape}.young_modulus", young_modulus, positive=True)
     drag = at_least_0(f"{shape}.damping", damping)
     ball_radius = or_default(f"{shape}.radius", radius, default_radius)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
-    mu, lam = lame(scene.dim, modulus, ratio)
-    if isinstance(body, jelly_material.Boxes):
-        viscosity = _viscosity(body, mu, float(masses.sum() / body.volume.sum()), drag)
-        bricks = Bricks(body.bricks, modulus, ratio, viscosity, body.size)
-        return build(scene, shape, body.points, [], body.triangles, part, 0.0, None, bricks=bricks)
-    more = np.full(len(body.cells), max(0.0, lam - mu))
-    cells = Cells(body.cells, more, np.full(len(body.cells), CRUSH * mu), body.cell_volume)
-    kinds = [Springs(body.pairs, 0.0, mu * body.stiffness)]
-    return build(scene, shape, body.points, kinds, body.triangles, part, 0.0, drag, cells=cells)
+    mu, density = lame(scene.dim, modulus, ratio)[0], float(masses.sum() / body.volume.sum())
+    elements = body.elements(modulus, ratio, _viscosity(body.side, mu, density, drag, scene.dim))
+    return build(scene, shape, body.points, [], body.triangles, part, 0.0, None, **elements)
 
 
-def _viscosity(body: jelly_material.Boxes, mu: float, density: float, drag: float | None) -> float:
-    """Viscosity [Pa s, in 2D N s/m] of a lattice of springs with the damping `drag` [N s/m] of its edges, see `_lattice`; None: a
-    tenth of what is critical for two balls."""
-    dim, shear = len(body.size), EDGE_SHEAR[len(body.size)]
-    side = float(np.prod(body.size)) ** (1 / dim)
+def _viscosity(side: float, mu: float, density: float, drag: float | None, dim: int) -> float:
+    """Viscosity [Pa s, in 2D N s/m] of a lattice of springs as long as `side`, with the damping `drag` [N s/m] of its edges, see
+    `_lattice`; None: a tenth of what is critical for two balls."""
+    shear = EDGE_SHEAR[dim]
     if drag is None:
         drag = DAMPING_RATIO * 2 * math.sqrt(mu * side ** (dim - 2) / shear * density * side**dim / 2)
     return shear * drag * side ** (2 - dim)
@@ -307,7 +300,7 @@ def _solid_block(block: tuple, factor: float) -> tuple[jelly_material.Boxes, NDA
 
 
 def _wobbly(
-    body: jelly_material.Solid | jelly_material.Boxes, masses: NDArray, height: float, ratio: float, bounded: bool
+    body: jelly_material.Simplices | jelly_material.Boxes, masses: NDArray, height: float, ratio: float, bounded: bool
 ) -> float:
     """The default of Young's modulus: waves at sqrt(40 g height), and never above what is stable at 1 ms with a margin.
 
@@ -318,11 +311,7 @@ def _wobbly(
     soft = WOBBLE * height * density / (2 * mu + lam)
     if not bounded:
         return soft
-    if isinstance(body, jelly_material.Boxes):
-        rate = rates_at_rest(body.size, 1.0, ratio)[0] / (density / 2**dim)
-    else:
-        rate = jelly_material.largest_rate(body, masses, mu, max(0.0, lam - mu))
-    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * rate))
+    return min(soft, 4 / (SAFE_MARGIN * SAFE_STEP**2 * body.rate(masses, ratio)))
 
 
 # Meshes ------------------------------------------------------------------------------------------------------------
@@ -356,7 +345,7 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Boxes,
     )
 
 
-def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[jelly_material.Solid, tuple[NDArray, NDArray]]:
+def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[jelly_material.Simplices, tuple[NDArray, NDArray]]:
     wrong = meshes.flaws(surface)
     if wrong:
         says = f'cannot be filled with tetrahedra: {"; ".join(wrong)}. Mend it, or use fill = "voxels", which takes any mesh'
@@ -364,6 +353,6 @@ def _tetrahedra(surface: meshes.Surface, step: float) -> tuple[jelly_material.So
     if meshes.volume(surface) < 0:
         surface = meshes.Surface(surface.vertices, surface.triangles[:, ::-1])
     balls = abs(meshes.volume(surface)) / step / step / step  # the cube of a tiny step would be 0
-    affordable("jelly.spacing", step, balls, 7 * balls, cells=6 * balls)
+    affordable("jelly.spacing", step, balls, 0, solids=6 * balls)
     points, cells = jelly_material.tetrahedra("jelly", surface, step)
-    return jelly_material.springs_of(points, cells), jelly_material.skin_of_tetrahedra(points, cells, surface.vertices)
+    return jelly_material.simplices(points, cells), jelly_material.skin_of_tetrahedra(points, cells, surface.vertices)

@@ -1,9 +1,4 @@
-"""Solids: boxes of a lattice, tetrahedra in a mesh. Imports no Taichi.
-
-Boxes are bricks of the material. Tetrahedra have springs along their edges, for Lame's first constant lambda = mu (in 3D
-Poisson's ratio 1/4, in 2D 1/3), and cells with the bulk modulus lambda - mu for what a larger ratio asks for. See physics.md,
-"Elastic bodies".
-"""
+"""Bodies of an elastic material: boxes of a lattice, and meshes of tetrahedra, in 2D triangles. Imports no Taichi."""
 
 from __future__ import annotations
 
@@ -12,27 +7,29 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface
+from taichi_sim.scene.bricks import rates_at_rest
 from taichi_sim.scene.cells import cell_volumes
+from taichi_sim.scene.solids import averages, rates_of
+from taichi_sim.shapes.base import Bricks, Solids
 
 __all__ = [
     "Boxes",
-    "Solid",
+    "Simplices",
     "box_cells",
     "box_surface",
     "connected",
     "inside",
-    "largest_rate",
     "lattice",
+    "simplices",
     "skin_of_boxes",
     "skin_of_tetrahedra",
-    "springs_of",
     "surface_of",
     "tetrahedra",
 ]
@@ -58,17 +55,43 @@ class Boxes(NamedTuple):
     bricks: NDArray[np.int64]  # (b, 2^dim)
     size: NDArray[np.float64]  # (dim,) m
 
+    @property
+    def side(self) -> float:
+        """Distance [m] of neighbouring balls."""
+        return float(np.prod(self.size)) ** (1 / len(self.size))
 
-class Solid(NamedTuple):
-    """A body of m springs and c cells. What is given per unit modulus is multiplied by mu, or by lambda - mu [Pa]."""
+    def rate(self, masses: NDArray, ratio: float) -> float:
+        """Largest eigenvalue of M^-1 K [1/s^2] for a modulus of 1."""
+        density = float(masses.sum() / self.volume.sum())
+        return rates_at_rest(self.size, 1.0, ratio)[0] / (density / 2 ** len(self.size))
+
+    def elements(self, young_modulus: float, poisson_ratio: float, viscosity: float) -> dict[str, Any]:
+        """Elements of a shape, by their name."""
+        return {"bricks": Bricks(self.bricks, young_modulus, poisson_ratio, viscosity, self.size)}
+
+
+class Simplices(NamedTuple):
+    """A body of tetrahedra, in 2D of triangles."""
 
     points: NDArray[np.float64]  # (n, dim) m
     volume: NDArray[np.float64]  # (n,) m^dim, of each point
     triangles: NDArray[np.int64]  # (t, 3) the surface; none in 2D
-    pairs: NDArray[np.int64]  # (m, 2)
-    stiffness: NDArray[np.float64]  # (m,) N/m for mu = 1
     cells: NDArray[np.int64]  # (c, dim + 1), of positive volume
-    cell_volume: NDArray[np.float64]  # (c,) m^dim
+
+    @property
+    def side(self) -> float:
+        """Mean distance [m] of neighbouring balls."""
+        return float(self.volume.mean()) ** (1 / self.points.shape[1])
+
+    def rate(self, masses: NDArray, ratio: float) -> float:
+        """Largest eigenvalue of M^-1 K [1/s^2] for a modulus of 1."""
+        each = np.ones(len(self.cells))
+        at = averages(self.cells, cell_volumes(self.points, self.cells), each, ratio * each, 0.0 * each)
+        return rates_of(self.points[self.cells], masses, at)[0]
+
+    def elements(self, young_modulus: float, poisson_ratio: float, viscosity: float) -> dict[str, Any]:
+        """Elements of a shape, by their name."""
+        return {"solids": Solids(self.cells, young_modulus, poisson_ratio, viscosity)}
 
 
 # Lattices ----------------------------------------------------------------------------------------------------------
@@ -232,43 +255,12 @@ def _elsewhere() -> Iterator[None]:
             os.chdir(before)
 
 
-def largest_rate(body: Solid, masses: NDArray, mu: float, bulk: float) -> float:
-    """A bound on the square of the highest frequency [1/s^2]: of the springs (physics.md, "Methods") and of the rows of cells."""
-    at = np.bincount(body.pairs.ravel(), np.repeat(mu * body.stiffness, 2), minlength=len(masses)) / masses
-    rate = float(at[body.pairs].sum(axis=1).max(initial=0.0))
-    if bulk == 0:
-        return rate
-    x = body.points[body.cells]
-    size = np.stack([_opposite(np.delete(x, k, axis=1)) for k in range(x.shape[1])], axis=1)  # |dV/dx|
-    row = bulk / body.cell_volume[:, None] * size * size.sum(axis=1, keepdims=True)
-    return rate + float((np.bincount(body.cells.ravel(), row.ravel(), minlength=len(masses)) / masses).max())
-
-
-def _opposite(x: NDArray) -> NDArray[np.float64]:
-    """A third of the area of triangles (c, 3, 3), half the length of lines (c, 2, 2)."""
-    sides = x[:, 1:] - x[:, :1]
-    if x.shape[2] == 2:
-        return 0.5 * np.linalg.norm(sides[:, 0], axis=1)
-    return np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 6.0
-
-
-def springs_of(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Solid:
-    """Elastic body of tetrahedra (c, 4), in 2D of triangles (c, 3), with points (n, dim) [m]: springs along their edges,
-    each k = 2.5 V / L^2 for mu = 1, V the volume around it; in 2D k = 8/3 A / L^2, A the area of its triangles.
-
-    Where edges point everywhere alike that is E = 2.5 mu, in 2D 8/3 mu, exactly, before points move against their neighbours
-    (Van Gelder 1998).
-    """
+def simplices(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Simplices:
+    """Body of tetrahedra (c, 4), in 2D of triangles (c, 3), of positive volume, with points (n, dim) [m]."""
     corners = cells.shape[1]
-    volume = cell_volumes(points, cells)
-    both = list(itertools.combinations(range(corners), 2))
-    ends = np.concatenate([cells[:, pair] for pair in both])
-    pairs, same = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
-    around = np.bincount(same.reshape(-1), np.tile(volume, len(both)))
-    square = np.sum((points[pairs[:, 1]] - points[pairs[:, 0]]) ** 2, axis=1)
-    each: NDArray = np.bincount(cells.ravel(), np.repeat(volume / corners, corners), minlength=len(points))
-    surface = surface_of(cells) if corners == 4 else np.zeros((0, 3), dtype=np.int64)
-    return Solid(points, each, surface, pairs, (2.5 if corners == 4 else 8 / 3) * around / square, cells, volume)
+    volume = np.repeat(cell_volumes(points, cells) / corners, corners)
+    each: NDArray = np.bincount(cells.ravel(), volume, minlength=len(points))
+    return Simplices(points, each, surface_of(cells) if corners == 4 else np.zeros((0, 3), dtype=np.int64), cells)
 
 
 def surface_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -146,7 +146,7 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
     layers = max(1, round(depth / spacing))
     found = read()
     balls = sum(one.polygon.area for one in found) / spacing**2 * (layers + 2 if kind == "jelly" and dim == 3 else 2)
-    affordable(f"{shape}.spacing", spacing, balls, 7 * balls)
+    affordable(f"{shape}.spacing", spacing, balls, 0, solids=6 * balls)
     meshes = [polygon_mesh.filled(f"{shape}.spacing", one.polygon, spacing) for one in found]
     placed = {name: given[name] for name in ("position", "rotation", "scale")}
     made: list[Shape] = []
@@ -169,9 +169,9 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
                 else:
                     if dim == 3:
                         points, cells = polygon_mesh.extruded(points, triangles, depth, layers)
-                        body = jelly_material.springs_of(points, cells)
+                        body = jelly_material.simplices(points, cells)
                     else:
-                        body = jelly_material.springs_of(points, triangles)
+                        body = jelly_material.simplices(points, triangles)
                     own.append(points)
                     faces.append(body.triangles if dim == 3 else triangles)
                     made.append(_jelly(scene, shape, body, height, spacing, given, looks, placed))
@@ -204,7 +204,7 @@ def _cloth(
 def _jelly(
     scene: Scene,
     shape: str,
-    body: jelly_material.Solid,
+    body: jelly_material.Simplices,
     height: float,
     spacing: float,
     given: dict[str, Any],
@@ -213,7 +213,7 @@ def _jelly(
 ) -> Shape:
     factor = validation.number(f"{shape}.scale", placed["scale"], positive=True)
     if factor != 1.0:
-        body = jelly_material.springs_of(body.points * factor, body.cells)
+        body = jelly_material.simplices(body.points * factor, body.cells)
     density, young, ratio = with_preset(scene, given["material"], {name: given[name] for name in ELASTIC}).values()
     mass = float(body.volume.sum()) * or_default(f"{shape}.density", density, JELLY_DENSITY[scene.dim])
     elastic: dict[str, Any] = {"young_modulus": young, "poisson_ratio": ratio}

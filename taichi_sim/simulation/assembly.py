@@ -514,6 +514,7 @@ class Assembly:
 
 def _is_small(scene: Scene) -> bool:
     elements = 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes) + 16 * len(scene.bricks)
+    elements += 8 * len(scene.solids)
     return scene.n_balls + scene.n_springs + elements <= FUSED_UP_TO
 
 

@@ -322,7 +322,7 @@ class Simulation(Reader):
         return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
-        """Number of cells and bricks that are flat or turned inside out. Every jelly has some."""
+        """Number of cells, bricks and solids that are flat or turned inside out. Every jelly has some."""
         return diagnostics.inverted(self.scene, self.position)
 
     def error(self) -> ErrorEstimate | None:

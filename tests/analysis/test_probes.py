@@ -411,7 +411,7 @@ def test_strains_of_triangles_and_bricks():
     shown = Colouring.of(frame, "strain", (0.0, 1.0)).values(frame)
     for balls, strain in zip(bodies, (0.05, 0.1, 0.2), strict=True):
         assert shown[balls] == pytest.approx(strain)
-    with pytest.raises(SceneError, match="no spring, triangle or brick lies between them"):
+    with pytest.raises(SceneError, match="no spring, triangle, brick or solid lies between them"):
         scene.add_probe("none", "strain", balls=[0, len(x) - 1])
 
 

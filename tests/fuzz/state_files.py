@@ -46,6 +46,7 @@ def whole(folder):
     scene.add_collider(ts.Sphere((60, 0, 0), 1.0))
     brick = scene.add_balls(np.argwhere(np.ones((2, 2, 2))) + 20.0, radius=0.1)
     scene.add_bricks([brick], young_modulus=9.0, poisson_ratio=0.3)
+    scene.add_solids([brick[[0, 1, 2, 4]]], young_modulus=9.0, poisson_ratio=0.3)
     scene.add_probe("load", "strain", springs=[0, 1])
     with ts.Simulation(scene, dt=1e-3, contacts="off") as simulation:
         simulation.save(folder / "whole.npz")

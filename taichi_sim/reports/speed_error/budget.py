@@ -98,7 +98,7 @@ def made(
     elif compared.quantity is not None:
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
     until = trials.plan.duration * parts / PARTS
-    meshed = bool(trials.scene.n_springs or len(trials.scene.cells) or len(trials.scene.bricks))
+    meshed = bool(trials.scene.n_springs or trials.scene.n_volumes())
     precision = trials.scene.settings.get("precision") or "f32"
     return Budget(
         *(name, compared.unit, value, until, method, step.seconds, off),

@@ -39,6 +39,7 @@ CHAIN = ("stiffness", "bending_stiffness")  # of each spring or piece: with them
 BY_HAND = (
     "cells",
     "bricks",
+    "solids",
     "bending",
     "gases",
     "triangles",
