@@ -1,7 +1,8 @@
 """Damping of the slowest motions of a scene by a method, worked out before anything runs.
 
-A mode of small motion obeys q'' + d q' + omega^2 q = 0, with omega and its shape from the springs and bending elements at present
-and d from their damping of that shape. A step of h seconds takes it on by a small matrix, whose eigenvalues tell the decay that will be seen.
+A mode of small motion obeys q'' + d q' + omega^2 q = 0, with omega and its shape from the springs and bending elements at
+present and d from their damping of that shape. A step of h seconds takes it on by a small matrix, whose eigenvalues tell the
+decay that will be seen.
 """
 
 from typing import NamedTuple
