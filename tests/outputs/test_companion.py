@@ -170,7 +170,7 @@ def chain(seed):
 
 
 @pytest.mark.slow
-def test_chains_that_tear_f64():
+def test_chains_that_tear():
     """Against a sixty-fourth of the step; where one tears, all others feel it."""
     torn, dt, frames = 0, 2e-3, 13
     for seed in range(31, 37):
