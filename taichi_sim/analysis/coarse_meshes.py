@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.quantities import percent
 from taichi_sim.scene.cells import cell_volumes
-from taichi_sim.scene.objects import owner
+from taichi_sim.scene.objects import SceneObject, owner
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["bent_findings", "few_across"]
+__all__ = ["bent_findings", "few_across", "ropes"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -49,15 +49,34 @@ class _Bend(NamedTuple):
 
 def bent_findings(scene: Scene) -> Iterator[tuple[str, str]]:
     """Sentence and cure for each rope and sheet that is bent sharply at the start."""
-    for one in scene.objects:
-        if one.kind == "rope" and len(one.balls) > 2:
-            found = _of_rope(scene, one.balls)
-            if found.angle > SMOOTH:
-                yield _rope_in_words(one.name, found, len(one.balls) - 1)
+    for one in ropes(scene):
+        found = _of_rope(scene, one.balls)
+        if found.angle > SMOOTH:
+            yield _rope_in_words(one.name, found, len(one.balls) - 1)
     for name, found in _of_sheets(scene).items():
         if found.angle > SMOOTH:
             wanted = found.piece * SMOOTH / found.angle
             yield _bent(name, found), f"take balls {wanted:.2g} m apart there for 1 %"
+
+
+def ropes(scene: Scene) -> list[SceneObject]:
+    """Objects of three balls or more that springs join one behind the other and in no other way, whatever they are called."""
+    if not scene.n_springs:
+        return []
+    of = np.full(scene.n_balls, -1)
+    for k, one in enumerate(scene.objects):
+        of[one.balls] = k
+    low, high = np.sort(scene.pairs, axis=1).astype(np.int64).T
+    number = np.bincount(1 + np.where(of[low] == of[high], of[low], -1), minlength=len(scene.objects) + 1)[1:]
+    in_row = number == [len(one.balls) - 1 for one in scene.objects]
+    joined = set((low * scene.n_balls + high).tolist()) if in_row.any() else set()
+    found = []
+    for one, springs in zip(scene.objects, in_row):
+        if springs and len(one.balls) > 2:
+            steps = np.sort(np.stack([one.balls[:-1], one.balls[1:]], axis=1).astype(np.int64), axis=1)
+            if joined.issuperset((steps @ [scene.n_balls, 1]).tolist()):
+                found.append(one)
+    return found
 
 
 def _of_rope(scene: Scene, balls: Ints) -> _Bend:

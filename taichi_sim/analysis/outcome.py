@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.coarse_meshes import ropes
 from taichi_sim.analysis.late_impacts import late_share
 from taichi_sim.common.quantities import measured
 from taichi_sim.scene.scene import Scene
@@ -88,7 +89,7 @@ def left_out(
 def has_mesh(scene: Scene) -> bool:
     """True if balls and springs of a scene stand for a body, so that more of them would be nearer to it."""
     elements = (scene.triangles, scene.cells, scene.bricks, scene.bends)
-    return any(map(len, elements)) or any(one.kind == "rope" for one in scene.objects)
+    return any(map(len, elements)) or len(ropes(scene)) > 0
 
 
 def not_included(errors: Sequence[str]) -> str:

@@ -134,7 +134,7 @@ class _Flat:
         return four, weights, strength
 
     def fitted(self) -> Iterator[Measures]:
-        """What each of the other triangles stores."""
+        """Elements of each of the other triangles."""
         some = np.flatnonzero((self.number > 0) & ~self.alone)
         if not len(some):
             return
@@ -206,7 +206,7 @@ class _Flat:
         return target
 
     def _ease(self, triangle: Ints, four: Ints) -> Floats:
-        """How readily each four vertices (c, 4) measure: in a row through a vertex by the part of the triangle that is nearest to
+        """Ease (c,) with which four vertices (c, 4) measure: in a row through a vertex by the part of the triangle that is nearest to
         that, so that all rows are alike where triangles are not; at an edge more."""
         corners = self.x[self.t[triangle]]
         square = np.sum((corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]]) ** 2, axis=2)  # of the side that faces each

@@ -6,7 +6,7 @@ from statics import forces
 
 import taichi_sim as ts
 from taichi_sim.analysis.accuracy import Setup, findings
-from taichi_sim.analysis.coarse_meshes import bent_findings, few_across
+from taichi_sim.analysis.coarse_meshes import bent_findings, few_across, ropes
 from taichi_sim.analysis.methods import VERLET
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.shapes.jelly_material import springs_of
@@ -61,6 +61,21 @@ def test_a_folded_rope(pieces, late):
     assert number(what, "is about ", " %") / 100.0 == pytest.approx(late, rel=0.4)
     setup = Setup(VERLET, 1e-4, "f64")
     assert [one.cure for one in findings(scene, setup) if one.subject == "mesh"] == ["take 123 pieces for 1 %"]
+
+
+def test_a_rope_is_one_by_what_it_is_made_of():
+    """Under a name of its own, and made by hand; not a square of springs, and not with one more across."""
+    scene = ts.Scene(dim=2)
+    corner = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    found = []
+    for pairs in ([[0, 1], [1, 2], [2, 3]], [[0, 1], [1, 2], [2, 3], [3, 0]], [[0, 1], [2, 1], [3, 0]]):
+        balls = scene.add_balls(corner + len(found), radius=0.1)
+        scene.add_springs(balls[np.array(pairs)], stiffness=1.0)
+        scene.set_name(balls, f"thing {len(found)}")
+        found.append(balls)
+    scene.add_springs([[found[0][1], found[1][1]]], stiffness=1.0)
+    assert [one.name for one in ropes(scene)] == ["thing 0"]
+    assert len(said(scene)) == 1
 
 
 @pytest.mark.parametrize("kind", ["grid", "mesh", "triangles"])
