@@ -206,8 +206,8 @@ class _Flat:
         return target
 
     def _ease(self, triangle: Ints, four: Ints) -> Floats:
-        """Ease (c,) with which four vertices (c, 4) measure: in a row through a vertex by the part of the triangle that is nearest to
-        that, so that all rows are alike where triangles are not; at an edge more."""
+        """Ease (c,) with which four vertices (c, 4) measure: in a row through a vertex the part of the triangle that is nearest
+        to that, so that all rows are alike where triangles are not; at an edge more."""
         corners = self.x[self.t[triangle]]
         square = np.sum((corners[:, [1, 2, 0]] - corners[:, [2, 0, 1]]) ** 2, axis=2)  # of the side that faces each
         facing = square * (square.sum(axis=1, keepdims=True) - 2.0 * square)
