@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import late_impacts, rebounds, shared_loads, turning
+from taichi_sim.analysis import coarse_meshes, late_impacts, rebounds, shared_loads, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -94,6 +94,8 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
             )
         yield from _cloth(scene)
     yield from _cells(scene)
+    for what, cure in (*coarse_meshes.bent_findings(scene), *coarse_meshes.few_across(scene)):
+        yield Finding("mesh", what, cure)
     yield from _turning(scene, setup)
     if setup.precision == "f32" and scene.n_balls:
         yield from _rounding(scene, setup)

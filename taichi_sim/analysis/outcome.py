@@ -6,15 +6,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.coarse_meshes import ropes
 from taichi_sim.analysis.late_impacts import late_share
 from taichi_sim.common.quantities import measured
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
     "DEEP",
+    "MESH",
     "STARTS_DEEP",
     "Scales",
     "cure_of_depth",
+    "has_mesh",
     "left_out",
     "not_included",
     "of_approach",
@@ -30,6 +33,8 @@ MANY = 10.0  # times what is slow
 DRIVEN = "may add or take energy here, so the energy change is no measure of the step error"
 LATE = 1e-4  # share of the energy of impacts that a step misses, above which it is said
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
+
+MESH = "the mesh, see `taichi-sim report --resolutions`"
 
 STARTS_DEEP = "move apart what overlaps at the start"
 
@@ -73,13 +78,18 @@ def left_out(
 ) -> Iterator[str]:
     """Errors that another run of the same scene does not show. settled: what is known of its start at rest, or None. h: its step
     [s]; end: velocities (n, dim) at the end [m/s]; at_touch: whether what bounces is solved at the moment of touch."""
-    if len(scene.pairs) or scene.n_volumes():
-        yield "the mesh, see `taichi-sim report --resolutions`"
+    if has_mesh(scene):
+        yield MESH
     velocities = [scene.velocity] + ([] if end is None else [end])
     if max(late_share(scene, velocity, h, at_touch) for velocity in velocities) > LATE:
         yield "the delay of impacts of balls, which both runs may find in the same place: compare with runs at other steps"
     if settled is not None and settled.residual:
         yield f"the net force of {measured(settled.residual, unit='N')} left at the start"
+
+
+def has_mesh(scene: Scene) -> bool:
+    """True if balls and springs of a scene stand for a body, so that more of them would be nearer to it."""
+    return scene.n_volumes() > 0 or len(scene.triangles) > 0 or len(scene.bends) > 0 or len(ropes(scene)) > 0
 
 
 def not_included(errors: Sequence[str]) -> str:

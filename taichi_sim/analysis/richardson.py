@@ -2,9 +2,10 @@
 
 from math import log2, nan
 
-__all__ = ["LEAST_RATIO", "error_from", "error_of_three"]
+__all__ = ["LEAST_RATIO", "error_from", "error_of_events", "error_of_three"]
 
 SAFETY = 1.25  # of an error told by three results (Roache, Verification and Validation in Computational Science, 1998)
+EVENTS = 3.0  # times the largest error that differences show: the factor of safety where no order is seen (Roache 1998)
 LEAST_RATIO = 1.25  # of differences at successive halvings, below which no order is seen
 
 
@@ -29,3 +30,12 @@ def error_of_three(first: float, second: float, order: float, ratio: float) -> f
         ratio = first / second
     seen = min(order, log2(ratio))
     return SAFETY * error_from(max(first, second * 2.0**seen), seen)
+
+
+def error_of_events(first: float, second: float) -> float:
+    """Error of the coarsest of three results that differ by `first`, then by `second`, in their unit, where events fall somewhere
+    within a step: each result is off by some part of its own step, so that the differences show no order.
+
+    The second difference counts twice, as it is of steps half as long.
+    """
+    return EVENTS * max(first, 2.0 * second)

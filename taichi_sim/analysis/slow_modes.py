@@ -1,7 +1,8 @@
 """Damping of the slowest motions of a scene by a method, worked out before anything runs.
 
-A mode of small motion obeys q'' + d q' + omega^2 q = 0, with omega and its shape from the springs at present and d from their
-damping of that shape. A step of h seconds takes it on by a small matrix, whose eigenvalues tell the decay that will be seen.
+A mode of small motion obeys q'' + d q' + omega^2 q = 0, with omega and its shape from the springs and bending elements at
+present and d from their damping of that shape. A step of h seconds takes it on by a small matrix, whose eigenvalues tell the
+decay that will be seen.
 """
 
 from typing import NamedTuple
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import Method
+from taichi_sim.scene.bending import BENDING
 from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.part import Quadratic
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Decay", "not_worked_out", "slow_decays"]
@@ -20,12 +23,12 @@ Floats = NDArray[np.float64]
 
 MOST = 900  # free coordinates, for which a dense eigenvalue problem takes a second
 SLOW = 3.0  # times the slowest frequency, up to which motions count as slow
-STILL = 1e-6  # of the fastest mode's omega: motion that no spring resists
+STILL = 1e-6  # of the fastest mode's omega: motion that nothing resists
 BLUR = 4.0 * 2.0**-23  # of places: what single precision may make of a stretch
 
 
 class Decay(NamedTuple):
-    """`frequency` [Hz] of a mode without damping; rates [1/s] at which it decays, as the springs say and with the step."""
+    """`frequency` [Hz] of a mode without damping; rates [1/s] at which it decays, as the scene says and with the step."""
 
     frequency: float
     exact: float
@@ -37,34 +40,27 @@ def not_worked_out(scene: Scene) -> str:
     free = int(np.count_nonzero(~scene.pinned))
     if not scene.n_springs or not free:
         return ""
-    if any(element_rates(scene)):
-        names = [one.name for one in ELEMENTS if one.acts(scene)]
-        return f"the slowest motions are found for springs alone, and this scene also has {', '.join(names)}"
+    if any(element_rates(scene, solved=(BENDING,))):
+        names = [one.words for one in ELEMENTS if one.acts(scene) and one is not BENDING]
+        return f"the slowest motions are found for springs and bending alone; this scene also has {', '.join(names)}"
     return f"{free} free balls are more than the {MOST // scene.dim} analysed" if free * scene.dim > MOST else ""
 
 
 def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> list[Decay]:
-    """The slowest modes at `position` (n, dim) [m] with steps of h seconds; none of a scene that `not_worked_out` gives a reason
-    for, without springs or free balls, and of a method that declares no amplification."""
+    """The slowest modes at `position` (n, dim) [m] with steps of h seconds, the slowest first; none of a scene that
+    `not_worked_out` gives a reason for, without springs or free balls, and of a method that declares no amplification."""
     free = np.flatnonzero(~scene.pinned)
     if not scene.n_springs or not len(free) or not_worked_out(scene):
         return []
-    k, dim = scene.stiffness, scene.dim
-    r = position[scene.pairs[:, 1]] - position[scene.pairs[:, 0]]
-    length = np.linalg.norm(r, axis=1)
-    n = r / np.where(length > 0, length, 1.0)[:, None]
-    along = n[:, :, None] * n[:, None, :]
-    whole = np.where(length > 0, length, 1.0)
-    tense = np.where(length > 0, np.maximum(0.0, 1.0 - scene.rest_length / whole), 1.0)
-    tense[tense < BLUR * np.abs(position).max() / whole] = (
-        0.0  # else what no spring resists would seem to be the slowest
-    )
-    block = (k * (1.0 - tense))[:, None, None] * along + (k * tense)[:, None, None] * np.eye(dim)
-    omega2, shape = np.linalg.eigh(_assembled(scene, free, block))
+    along, tense = _directions(scene, position)
+    across = scene.stiffness * tense
+    block = (scene.stiffness - across)[:, None, None] * along + across[:, None, None] * np.eye(scene.dim)
+    omega2, shape = np.linalg.eigh(_assembled(scene, free, block, BENDING.stiffness(scene)))
     slow = np.flatnonzero(omega2 > STILL**2 * omega2[-1])
     slow = slow[omega2[slow] <= SLOW**2 * omega2[slow[:1]]]
     dampings = (scene.damping, method.spring_damping(scene, h))
-    D, of_method = (_assembled(scene, free, c[:, None, None] * along) for c in dampings)
+    bends = BENDING.damping(scene)
+    D, of_method = (_assembled(scene, free, c[:, None, None] * along, bends) for c in dampings)
     decays = []
     for mode in slow:
         q, omega = shape[:, mode], float(np.sqrt(omega2[mode]))
@@ -81,8 +77,20 @@ def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> lis
     return decays
 
 
-def _assembled(scene: Scene, free: NDArray[np.int64], block: Floats) -> Floats:
-    """M^-1/2 sum of blocks (m, dim, dim) M^-1/2 of the free balls."""
+def _directions(scene: Scene, position: Floats) -> tuple[Floats, Floats]:
+    """Projections (m, dim, dim) along the springs, and their tension (m,) over stiffness times length."""
+    r = position[scene.pairs[:, 1]] - position[scene.pairs[:, 0]]
+    length = np.linalg.norm(r, axis=1)
+    whole = np.where(length > 0, length, 1.0)
+    n = r / whole[:, None]
+    tense = np.where(length > 0, np.maximum(0.0, 1.0 - scene.rest_length / whole), 1.0)
+    rounding = BLUR * np.abs(position).max() / whole
+    tense[tense < rounding] = 0.0  # else what nothing resists would seem to be the slowest
+    return n[:, :, None] * n[:, None, :], tense
+
+
+def _assembled(scene: Scene, free: NDArray[np.int64], block: Floats, bends: list[Quadratic]) -> Floats:
+    """M^-1/2 sum M^-1/2 of the free balls, over blocks (m, dim, dim) of springs and over bends."""
     n, dim = scene.n_balls, scene.dim
     A = np.zeros((n, n, dim, dim))
     i, j = scene.pairs.T
@@ -90,6 +98,9 @@ def _assembled(scene: Scene, free: NDArray[np.int64], block: Floats) -> Floats:
     np.add.at(A, (j, j), block)
     np.add.at(A, (i, j), -block)
     np.add.at(A, (j, i), -block)
+    for corners, gradient, strength in bends:
+        both = strength[:, None, None] * gradient * gradient[:, None, :, 0]
+        np.add.at(A, (corners[:, :, None], corners[:, None, :]), both[..., None, None] * np.eye(dim))
     root = 1.0 / np.sqrt(scene.mass[free])
     A = A[np.ix_(free, free)] * (root[:, None] * root)[:, :, None, None]
     return A.transpose(0, 2, 1, 3).reshape(len(free) * dim, -1)

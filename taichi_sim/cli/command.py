@@ -147,17 +147,6 @@ class Job:
         return made
 
 
-@contextmanager
-def waiting(what: str, shown: bool) -> Iterator[None]:
-    """Say meanwhile what is waited for."""
-    from taichi_sim.common.progress import Work, showing
-
-    work = Work()
-    work.words = lambda: what
-    with showing(work, shown):
-        yield
-
-
 def echo(text: str, err: bool = False) -> None:
     """A line on standard output or standard error, without control sequences that names in it may hold. Where whoever read has
     gone, as after `| head`, the work goes on unread. Raises OSError where standard output cannot be written."""

@@ -20,6 +20,7 @@ from taichi_sim.cli.command import (
     subcommand,
 )
 from taichi_sim.cli.options import paths_and_values, takes_only
+from taichi_sim.common.progress import waiting
 
 
 @subcommand(*SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
@@ -72,11 +73,12 @@ def report(
 
     options |= {"methods": methods, "dts": dts, "precision": precision, "tolerance": tolerance, "duration": duration}
     parameters = paths_and_values("--set", options.pop("set") or ())
-    file, made, plan = command.read(scene, limit=limit, resolutions=resolutions, parameters=parameters, **options)
     from taichi_sim.reports.speed_error.report import main as make
     from taichi_sim.reports.speed_error.resolution import finer
 
-    meshes = finer(file, parameters=parameters) if resolutions else []
+    with waiting("reading the scene", not quiet):  # which settling takes long for
+        file, made, plan = command.read(scene, limit=limit, resolutions=resolutions, parameters=parameters, **options)
+        meshes = finer(file, parameters=parameters) if resolutions else []
     folder = Path(out or f"{file.stem}_report")
     say = say_nothing if quiet else echo
     make(made, plan, folder, meshes=meshes, overwrite=overwrite, progress=not quiet, say=say)
@@ -100,7 +102,8 @@ def tune(
 
     options |= {"methods": methods, "precision": precision, "tolerance": tolerance, "duration": duration}
     parameters = paths_and_values("--set", options.pop("set") or ())
-    file, made, plan = command.read(scene, limit=limit, parameters=parameters, **options)
+    with waiting("reading the scene", not quiet):
+        file, made, plan = command.read(scene, limit=limit, parameters=parameters, **options)
     if write and parameters:
         raise ValueError(
             "--write: the settings would be of a scene that the file does not hold; leave --set or --write out"

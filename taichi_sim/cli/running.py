@@ -19,10 +19,10 @@ from taichi_sim.cli.command import (
     flag,
     say_nothing,
     subcommand,
-    waiting,
 )
 from taichi_sim.cli.options import interval, keys_and_values, pixels, positive
 from taichi_sim.common.errors import UnstableError
+from taichi_sim.common.progress import waiting
 
 NAMES = (
     "x.mp4, x.webm, x.gif or x.webp; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others;"

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from datetime import timedelta
 from typing import Any, TextIO
 
-__all__ = ["EVERY", "Counted", "Work", "log_to", "showing"]
+__all__ = ["EVERY", "Counted", "Work", "log_to", "showing", "waiting"]
 
 EVERY = 5.0  # s, between two lines of a log
 
@@ -113,6 +113,15 @@ def showing(work: Work, shown: bool) -> Iterator[None]:
                 yield
         return
     with _lines(work):
+        yield
+
+
+@contextmanager
+def waiting(what: str, shown: bool) -> Iterator[None]:
+    """Say meanwhile what is waited for."""
+    work = Work()
+    work.words = lambda: what
+    with showing(work, shown):
         yield
 
 

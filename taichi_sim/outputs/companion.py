@@ -1,5 +1,5 @@
-"""Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; where the order
-is 1, by the method or by contacts and tearing, a third one at a quarter."""
+"""Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; of methods of
+order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.analysis.richardson import error_from, error_of_three
+from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
@@ -56,9 +56,9 @@ class Companion:
     """Keeps what the first run starts from and reads, and repeats it at half the step with other rounding.
 
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
-    so that both runs enclose the scene as it is meant. Contacts, and forces that begin or end at some moment, make any method one
-    of first order. That order may not be seen, at the large steps of such methods, or where something happens within a step:
-    a third run at a quarter of the step shows it. No number is known better than to the rounding of its own size.
+    so that both runs enclose the scene as it is meant. Methods of first order, contacts and tearing get a third run at a quarter
+    of the step: the order of such methods may not be seen at large steps, and contacts and tearing, which begin and end somewhere
+    within a step, show none. No number is known better than to the rounding of its own size.
     """
 
     def __init__(self, simulation: Any) -> None:
@@ -75,14 +75,14 @@ class Companion:
         """Run again and compare at the frames' times. simulation: the first run at its end; advance takes the number of frames
         done and the simulated seconds."""
         half, single = simulation.dt / simulation.substeps / 2.0, simulation.backend.precision == "f32"
-        free, order = ~simulation.scene.pinned, _order(simulation)
+        free, order = ~simulation.scene.pinned, _Order.of(simulation)
         energy = simulation.energy()
         runs = [_Run(simulation.position[free], energy.total, _by_name([probes for _, probes in self._readings]))]
         try:
             again, start = self._second(simulation)
             with again:
                 runs.append(self._repeat(again, free, advance))
-                if order == 1:
+                if order.needs_third:
                     with _resumed(again.at_half_step(), start) as once_more:
                         runs.append(self._repeat(once_more, free, advance))
         except UnstableError as error:
@@ -150,18 +150,29 @@ def _rms(values: NDArray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def _order(simulation: Any) -> float:
-    """Order of convergence of the method in this scene, at least 1."""
-    smooth = not simulation.parts.contacts.active and not np.isfinite(simulation.scene.break_strain).any()
-    order = simulation.settings.integrator.method.order if smooth else 1
-    return order if order > 0 else 1
+class _Order(NamedTuple):
+    """Order of convergence of a method, at least 1. events: contacts or tearing, which happen somewhere within a step."""
+
+    of_method: float
+    events: bool = False
+
+    @classmethod
+    def of(cls, simulation: Any) -> "_Order":
+        """The order of a simulation in its scene."""
+        events = simulation.parts.contacts.active or bool(np.isfinite(simulation.scene.break_strain).any())
+        return cls(max(1, simulation.settings.integrator.method.order), events)
+
+    @property
+    def needs_third(self) -> bool:
+        """True where two runs do not tell the error."""
+        return self.of_method == 1 or self.events
 
 
 class _Judge:
     """Differences of successive runs over all of a quantity, and what they say of its order; rounding: that of the quantity, as a
     walk of so many steps adds it up."""
 
-    def __init__(self, differences: list[float], rounding: float, order: float) -> None:
+    def __init__(self, differences: list[float], rounding: float, order: _Order) -> None:
         self.differences, self.order = differences, order
         self.ratio = inf  # rounding alone, or two runs, which the order is believed of
         if len(differences) > 1 and max(differences) > CERTAIN * rounding:
@@ -170,11 +181,14 @@ class _Judge:
     def error(self, differences: list[float]) -> float:
         """Error of the first run in one number, from its differences."""
         if len(differences) == 1:
-            return error_from(differences[0], self.order)
-        return error_of_three(differences[0], differences[1], self.order, self.ratio)
+            return error_from(differences[0], self.order.of_method)
+        first, second = differences
+        of_events = error_of_events(first, second) if self.order.events else 0.0
+        of_step = 0.0 if self.order.of_method > 1 else error_of_three(first, second, 1.0, self.ratio)
+        return nan if np.isnan(of_step) else max(of_step, of_events)
 
 
-def _off(runs: list[list[float]], order: float, digit: float, steps: float = 1.0) -> tuple[float, float, float]:
+def _off(runs: list[list[float]], order: _Order, digit: float, steps: float = 1.0) -> tuple[float, float, float]:
     """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded;
     steps: of the last run.
 

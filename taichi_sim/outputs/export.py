@@ -15,7 +15,7 @@ import numpy as np
 from taichi_sim.analysis import late_impacts, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
-from taichi_sim.analysis.outcome import Scales, left_out, not_included, of_approach, of_cells, of_depth, of_energy
+from taichi_sim.analysis.outcome import MESH, Scales, left_out, not_included, of_approach, of_cells, of_depth, of_energy
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
@@ -121,7 +121,8 @@ class Summary:
             off = None if self.step_error is None else self.step_error.energy
             lines.append(
                 f"energy       {self.energy_start[3]:.6g} J at the start,"
-                f" {_at_the_end(total, off)} at the end (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
+                f" {_at_the_end(total, off, self._source())} at the end"
+                f" (kinetic {kinetic:.4g}, spring {spring:.4g}, gravity {gravity:.4g})"
             )
             if self.scales is not None and (said := of_energy(self.energy_start[3], total, self._seen(self.scales))):
                 lines.append(f"             {said}")
@@ -200,13 +201,17 @@ class Summary:
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
         return lines
 
+    def _source(self) -> str:
+        """Words on what a stated uncertainty is of."""
+        return f"{STEP}; the mesh is not included" if MESH in self.left_out else STEP
+
     def _readings(self) -> Iterator[str]:
         """Lines on what probes read, and on how well that is known."""
         found = self.step_error
         off = {} if found is None else found.probes
         width = max([12, *map(len, self.probes)])
         for name, values in self.probes.items():
-            unit, source = self.units.get(name, ""), f" ({STEP})" if off else ""
+            unit, source = self.units.get(name, ""), f" ({self._source()})" if off else ""
             words = measures(values, off.get(name, (None,) * 3), unit)
             if all(one.endswith(ROUNDED) for one in words):
                 words, source = measures(values, (None,) * 3, unit), f" ({ROUNDED})"
@@ -227,7 +232,7 @@ class Summary:
         if not np.isnan(found.rms):
             rms, largest = measures([found.rms, found.largest], [None, None], "m")
             known = f": positions at the end +- {rms} rms, +- {largest} at most"
-        yield f"{'uncertainty':12} of {STEP}, from {by}{known}"
+        yield f"{'uncertainty':12} of {self._source()}, from {by}{known}"
         if found.unseen:
             yield (
                 f"{'':12} not known of {', '.join(found.unseen)}: the runs do not come nearer to each other as the step falls;"
@@ -253,12 +258,12 @@ def _check_output(output: Any) -> None:
         raise SceneError("output", says=f"{type(output).__name__} has no function write(index, frame, image)")
 
 
-def _at_the_end(energy: float, off: float | None) -> str:
-    """An energy without a prefix, as those beside it; off: the uncertainty by the step [J], where it is known."""
+def _at_the_end(energy: float, off: float | None, source: str = STEP) -> str:
+    """An energy without a prefix, as those beside it; off: the uncertainty by `source` [J], where it is known."""
     if off is None or np.isnan(off):
         return f"{energy:.6g} J"
     value, _, said = measures([energy], [off])[0].partition(", ")
-    return f"{value} J ({said or STEP})"
+    return f"{value} J ({said or source})"
 
 
 class _Writer:

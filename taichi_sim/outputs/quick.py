@@ -7,6 +7,7 @@ from os import PathLike
 from typing import Any
 
 from taichi_sim.common.errors import unknown_key
+from taichi_sim.common.progress import waiting
 from taichi_sim.outputs import open_output
 from taichi_sim.outputs.export import Summary, export
 from taichi_sim.scene.scene import Scene
@@ -58,7 +59,9 @@ def video(
     scene, context = _simulation(what, settings)
     options = output_options(scene, {"duration": duration, "fps": fps, "size": size})
     options["style"] |= (style or {}) | look
-    with context() as simulation:
+    with waiting("preparing the simulation", progress):  # which settling takes long for
+        made = context()
+    with made as simulation:
         output = open_output(path, fps=options["fps"], overwrite=overwrite, codec=codec)
         summary = export(simulation, output, progress=progress, error=error, **options)
     summary.video = str(path)

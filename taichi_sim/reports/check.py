@@ -17,7 +17,7 @@ from taichi_sim.analysis.methods import (
     XPBD,
     Method,
 )
-from taichi_sim.analysis.slow_modes import not_worked_out, slow_decays
+from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, sinking_spring, stability, without
 from taichi_sim.common.quantities import EXACT
 from taichi_sim.scene.scene import Scene
@@ -45,16 +45,25 @@ def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64
         if why := not_worked_out(scene):
             yield f"damping               not worked out: {why}"
         return
-    worst = max(
-        decays, key=lambda mode: abs(mode.found - mode.exact) / max(mode.exact, WRONG_IN_A_CYCLE * mode.frequency)
-    )
-    of = f"the slowest motions of springs, {worst.frequency:.3g} Hz, decay by {worst.exact:.3g} a second"
-    allowed = max(WRONG_DECAY * worst.exact, WRONG_IN_A_CYCLE * worst.frequency)
-    good = abs(worst.found - worst.exact) <= allowed
-    found = worst.found if abs(worst.found) > EXACT * worst.frequency else 0.0
-    yield f"damping               {of}; with this step by {found:.3g}{': good' if good else ''}"
-    if not good:
-        yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, allowed)}"
+    worst = max(decays, key=lambda mode: abs(mode.found - mode.exact) / _allowed(mode))
+    yield f"damping               the slowest motion, {_decay(decays[0])}"
+    if abs(worst.found - worst.exact) <= _allowed(worst):
+        return
+    if worst is not decays[0]:
+        yield f"                      that of {_decay(worst)}"
+    yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, _allowed(worst))}"
+
+
+def _allowed(mode: Decay) -> float:
+    """Error of a rate of decay [1/s] that is good."""
+    return max(WRONG_DECAY * mode.exact, WRONG_IN_A_CYCLE * mode.frequency)
+
+
+def _decay(mode: Decay) -> str:
+    """Words on the decay of a motion."""
+    good = abs(mode.found - mode.exact) <= _allowed(mode)
+    exact, found = (rate if abs(rate) > EXACT * mode.frequency else 0.0 for rate in (mode.exact, mode.found))
+    return f"{mode.frequency:.3g} Hz, decays by {exact:.3g} a second; with this step by {found:.3g}{': good' * good}"
 
 
 def lines(sim: Simulation) -> Iterator[str]:

@@ -64,7 +64,11 @@ class GasMethods:
             says = f"enclose {present:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)
         around = validation.number("gases.outside", outside, low=0)
-        p = validation.number("gases.pressure", pressure, low=0.0 - around)
+        p = validation.number("gases.pressure", pressure)
+        if p < -around:
+            allowed = f"at least {-around:g}, a vacuum"
+            cure = "; give the pressure around it as outside, over which this one is" if around == 0.0 else ""
+            raise SceneError("gases.pressure", p, allowed + cure)
         first = present if volume is None else validation.number("gases.volume", volume, positive=True)
         self.gases.append(sealed(Gas(t, p, around, first)))
 

@@ -37,6 +37,7 @@ from taichi_sim.shapes.base import (
     surface_part,
     with_preset,
 )
+from taichi_sim.shapes.mesh_bending import mesh_bends
 
 __all__ = ["cloth"]
 
@@ -90,8 +91,8 @@ def cloth(
     The sheet lies in the x-z plane from the origin toward +x and +z; ball (i, j) along x and z has index
     i * resolution[1] + j. It has springs to the next balls and along one diagonal of each square, in turns (half as stiff), and
     a bending element (see `Scene.add_bending`) for each three balls in a row. A mesh keeps its coordinates: vertices are balls,
-    edges springs. An edge where it is flat has a bending element, and where it is folded a spring between the two vertices that
-    face each other.
+    edges springs. Where it is flat it has bending elements, and an edge where it is folded has a spring between the two vertices
+    that face each other.
 
     With any of mass_per_area, stretch_stiffness, shear_stiffness and bending_rigidity it is made of a material and the same at
     every resolution: balls weigh what the area around them does, and springs and elements at the border count half.
@@ -301,13 +302,13 @@ def _springs(surface: meshes.Surface, grid: Any) -> tuple[list[Springs], Springs
     of 1 N/m."""
     if grid is None:
         edges = meshes.unique_edges(surface.triangles)
-        bends, pairs, strength = cloth_material.mesh_bends(surface)
+        bends, pairs, strength = mesh_bends(surface)
         free = ~np.isin(_key(np.sort(pairs, axis=1)), _key(edges))  # in a tetrahedron the facing vertices share an edge
         return [Springs(edges, 1.0)], Springs(pairs[free], strength[free]), bends
     number = grid[1]
     index = np.arange(number[0] * number[1]).reshape(number)
     sides = Springs(lattice_pairs(number, (1, 0), (0, 1)), 1.0)
-    diagonals = Springs(cloth_material.diagonals(index), SHEAR_SHARE)
+    diagonals = Springs(cloth_material.diagonals(index), SHEAR_SHARE * cloth_material.evened(number))
     bends = bends_along(index, 1.0).plus(bends_along(index.T, 1.0))
     return [sides, diagonals], Springs(np.zeros((0, 2), dtype=np.int64), 0.0), bends
 

@@ -16,6 +16,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface, hinges, unique_edges
 from taichi_sim.scene.membranes import flattened
 from taichi_sim.shapes.base import Bends, bends_along
+from taichi_sim.shapes.mesh_bending import corners_of, cotangent, is_thin, mesh_bends
 
 __all__ = [
     "Fabric",
@@ -23,7 +24,7 @@ __all__ = [
     "Weave",
     "along_warp",
     "diagonals",
-    "mesh_bends",
+    "evened",
     "of_mesh",
     "of_sheet",
     "of_triangles",
@@ -33,7 +34,6 @@ __all__ = [
 ]
 
 WARP_ACROSS = 0.9  # cosine between a triangle's normal and the warp, from which on the warp lies across
-FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 
 
 class Fabric(NamedTuple):
@@ -138,8 +138,7 @@ def _sheet_springs(number: tuple[int, int], spacing: NDArray, fabric: Fabric) ->
         grid = index if axis == 0 else index.T
         pairs = np.stack([grid[:-1].ravel(), grid[1:].ravel()], axis=1)
         sides.append((pairs, k * np.broadcast_to(part, grid[1:].shape).ravel()))
-    across = diagonals(index)
-    return [*sides, (across, np.full(len(across), fabric.shear * (a * a + b * b) / (a * b)))]
+    return [*sides, (diagonals(index), fabric.shear * (a * a + b * b) / (a * b) * evened(number))]
 
 
 def turned(number: Sequence[int]) -> NDArray[np.bool_]:
@@ -147,6 +146,14 @@ def turned(number: Sequence[int]) -> NDArray[np.bool_]:
     way. In turns, as chequers are coloured: cut all alike a sheet would shear where it is pulled, and cut both ways it could not
     fold."""
     return np.asarray(np.add.outer(*(np.arange(n - 1) for n in number)) % 2 == 0)
+
+
+def evened(number: Sequence[int]) -> NDArray[np.float64]:
+    """Stiffness (m,) of the diagonals of a grid of so many balls, in parts of their mean: both kinds are as stiff together, also
+    where an odd number of squares has one more of one kind. Else the sheet would shear where it is stretched."""
+    turn = turned(number).ravel()
+    one, other = (max(1, int(np.count_nonzero(kind))) for kind in (turn, ~turn))
+    return np.where(turn, turn.size / (2.0 * one), turn.size / (2.0 * other)) if turn.size > 1 else np.ones(1)
 
 
 def diagonals(index: NDArray) -> NDArray[np.int64]:
@@ -174,21 +181,15 @@ def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> 
 
 def require_area(surface: Surface) -> None:
     """Raises SceneError where all triangles of a mesh are without area."""
-    thin = _thin(*_corners(surface))
+    thin = is_thin(*corners_of(surface))
     if thin.all():
         _refuse_thin(np.flatnonzero(thin))
 
 
 def _areas(surface: Surface) -> NDArray[np.float64]:
-    a, b, c = _corners(surface)
-    _refuse_thin(np.flatnonzero(_thin(a, b, c)))
+    a, b, c = corners_of(surface)
+    _refuse_thin(np.flatnonzero(is_thin(a, b, c)))
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
-def _corners(surface: Surface) -> tuple[NDArray, NDArray, NDArray]:
-    """Corners (t, 3) [m] of all triangles, the first of each, the second and the third."""
-    a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
-    return a, b, c
 
 
 def _refuse_thin(thin: NDArray) -> None:
@@ -196,12 +197,6 @@ def _refuse_thin(thin: NDArray) -> None:
         names = ", ".join(str(t) for t in thin[:3]) + (f" and {len(thin) - 3} more" if len(thin) > 3 else "")
         says = f"triangles {names} (from 0) have no area; take them out, or merge their corners"
         raise SceneError("cloth.mesh", says=says)
-
-
-def _thin(a: NDArray, b: NDArray, c: NDArray) -> NDArray[np.bool_]:
-    """Triangles (t,) without area, of corners (t, 3) each."""
-    longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0, initial=0.0)
-    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) <= 1e-6 * longest)
 
 
 def _mesh_springs(surface: Surface, area: NDArray, fabric: Fabric) -> tuple[NDArray, NDArray]:
@@ -226,44 +221,4 @@ def tension_shares(surface: Surface) -> NDArray[np.float64]:
     edge, opposite = hinges(surface.triangles)
     x0, x1 = surface.vertices[edge[:, 0]], surface.vertices[edge[:, 1]]
     facing = (surface.vertices[opposite[:, k]] for k in range(2))
-    return 0.5 * np.sum([_cotangent(at, x0, x1) for at in facing], axis=0)
-
-
-def _cotangent(at: NDArray, one: NDArray, other: NDArray) -> NDArray[np.float64]:
-    u, v = one - at, other - at
-    return np.einsum("hi,hi->h", u, v) / np.linalg.norm(np.cross(u, v), axis=1)
-
-
-def mesh_bends(surface: Surface, rigidity: float | None = None) -> tuple[Bends, NDArray, NDArray]:
-    """Bending of a mesh: elements where it is flat at rest, and springs (m, 2), (m,) [N/m] across the edges where it is folded.
-
-    Elements: rigidity [N m] / (A0 + A1) |K . x|^2 / 2 with K of cotangents (Bergou et al. 2006; the factor is what a cylinder
-    stores). A spring across an edge of length e stores the same, rigidity e^2 / (A0 + A1) times half the square of a small change
-    of the angle. Without a rigidity each edge resists as three balls in a row do whose element has a stiffness of 1 N/m, the ends
-    as far apart as the two vertices that face each other across the edge. Beside a triangle without area nothing bends.
-    """
-    edge, opposite = hinges(surface.triangles)
-    x = surface.vertices
-    wide = np.ones(len(edge), dtype=bool)
-    for k in range(2):
-        wide &= ~_thin(x[edge[:, 0]], x[edge[:, 1]], x[opposite[:, k]])
-    edge, opposite = edge[wide], opposite[wide]
-    x0, x1, x2, x3 = x[edge[:, 0]], x[edge[:, 1]], x[opposite[:, 0]], x[opposite[:, 1]]
-    at_0 = _cotangent(x0, x1, x2), _cotangent(x0, x1, x3)
-    at_1 = _cotangent(x1, x0, x2), _cotangent(x1, x0, x3)
-    weights = np.stack([at_1[0] + at_1[1], at_0[0] + at_0[1], -at_0[0] - at_1[0], -at_0[1] - at_1[1]], axis=1)
-    along = x1 - x0
-    length = np.linalg.norm(along, axis=1)
-    normals = np.cross(along, x2 - x0), np.cross(x3 - x0, along)
-    double = np.linalg.norm(normals[0], axis=1), np.linalg.norm(normals[1], axis=1)
-    apart = np.sum((x3 - x2) ** 2, axis=1)
-    strength = apart / (2 * length) ** 2 if rigidity is None else 2 * rigidity / (double[0] + double[1])
-    sine = np.linalg.norm(np.cross(*normals), axis=1) / (double[0] * double[1])
-    flat = (sine < FLAT_HINGE) & (np.einsum("hi,hi->h", *normals) > 0)
-    corners = np.concatenate([edge, opposite], axis=1)
-    bends = Bends(corners[flat].astype(np.int64), weights[flat], strength[flat])
-    reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian
-    folded = ~flat
-    change = np.maximum(reach[folded] ** 2, 1e-300)
-    k = strength[folded] * length[folded] ** 2 * apart[folded] / change
-    return bends, opposite[folded], k
+    return 0.5 * np.sum([cotangent(at, x0, x1) for at in facing], axis=0)

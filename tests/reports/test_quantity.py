@@ -243,6 +243,45 @@ def test_a_finer_rope_is_the_same_rope(tmp_path):
         resolution.finer(file)
 
 
+def test_the_tension_of_a_rope_goes_with_its_mesh(tmp_path):
+    """At its ends that of the outer piece, within the first half of a piece; strains of all pieces that one becomes."""
+    probes = "".join(f"[[probes]]\nname = 'p{k}'\nkind = 'tension'\nspring = {k}\n" for k in (0, 1, 3))
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE + probes + "[[probes]]\nname = 's'\nkind = 'strain'\nsprings = [1, 2]\n")
+    half, quarter = resolution.finer(file)
+    for finer, outer, inner, last, strains in (
+        (half, (0, 1), (2, 3), (7, 8), 4),
+        (quarter, (0, 1), (4, 5), (15, 16), 8),
+    ):
+        fine = finer.scene
+        found = [tuple(fine.pairs[probe.given["spring"]].tolist()) for probe in fine.probes[1:4]]
+        assert found == [outer, inner, last]
+        assert len(fine.probes[4].given["springs"]) == strains
+    file.write_text(CABLE + "[[probes]]\nname = 'p'\nkind = 'length'\nspring = 1\n")
+    with pytest.raises(SceneError, match="the springs of a shape are others in a finer mesh"):
+        resolution.finer(file)
+
+
+@pytest.mark.parametrize("material", ["warp = 30.0\nmass = 0.3", "young_modulus = 1e4\nthickness = 1e-3\nmass = 0.3"])
+def test_a_sheet_of_triangles_is_refined(tmp_path, material):
+    file = tmp_path / "s.toml"
+    file.write_text(SHEET.replace("mass_per_area = 0.2", material).replace("at = [0.5, 0.1, 0.75]", "spring = 1"))
+    coarse, half = ts.load_scene(file), resolution.finer(file, 1)[0].scene
+    assert len(half.membranes) == 4 * len(coarse.membranes)
+    assert half.membrane_warp[0] == pytest.approx(coarse.membrane_warp[0])
+    assert half.mass.sum() == pytest.approx(coarse.mass.sum())
+
+
+@pytest.mark.parametrize("material", ["density = 700.0", "poisson_ratio = 0.3", "young_modulus = 2e4"])
+def test_a_jelly_of_bricks_is_refined(tmp_path, material):
+    file = tmp_path / "s.toml"
+    file.write_text(f"format = 1\ndim = 3\n[[jelly]]\nsize = [0.4, 0.2, 0.2]\nresolution = [3, 2, 2]\n{material}\n")
+    coarse, half = ts.load_scene(file), resolution.finer(file, 1)[0].scene
+    assert len(half.bricks) == 8 * len(coarse.bricks)
+    assert half.mass.sum() == pytest.approx(coarse.mass.sum())
+    assert half.brick_modulus[0] == pytest.approx(coarse.brick_modulus[0])
+
+
 def test_a_preset_is_a_material(tmp_path):
     (tmp_path / "s.toml").write_text(SHEET.replace("mass_per_area = 0.2", "material = 'silk'"))
     half = resolution.finer(tmp_path / "s.toml", 1)[0]

@@ -10,6 +10,7 @@ from speed_support import MadeUp, pair, plan
 import taichi_sim as ts
 from taichi_sim.analysis.element_rates import Declared
 from taichi_sim.analysis.methods import VERLET
+from taichi_sim.analysis.outcome import left_out
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports import check
@@ -54,8 +55,18 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
         "precision": "f32",
     }
     assert 'integrator = "verlet"' in said[1]
-    value, left = said[2].splitlines()[:2]
+    value, allowed = said[2].splitlines()[:2]
     assert value.startswith("value")
+    assert allowed.startswith("allowed")  # two balls on a spring are no mesh
+
+
+def test_tune_names_the_mesh_that_its_error_leaves_out(monkeypatch):
+    scene, rope, said = pair(), ts.Scene(dim=2), []
+    ts.shapes.rope(rope, (0, 0), (1, 0), 5)
+    monkeypatch.setattr(tune, "left_out", lambda _: left_out(rope))
+    monkeypatch.setattr(tune, "TrialProcesses", lambda *_: MadeUp(scene))
+    tune.main(scene, plan(methods=("verlet",), tolerance=0.05), progress=False, say=said.append)
+    left = said[2].splitlines()[1]
     assert left == "             not included: the mesh, see `taichi-sim report --resolutions`"
 
 

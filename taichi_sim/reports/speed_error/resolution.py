@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.coarse_meshes import ropes
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.parameters import put
 from taichi_sim.files.toml_reader import Reader
@@ -31,8 +32,11 @@ else:
 LEVELS = 2  # halvings of the spacing
 # what makes a shape the same at every resolution
 MATERIAL = {
-    "cloth": ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
-    "jelly": ("young_modulus",),
+    "cloth": (
+        *("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
+        *("warp", "young_modulus"),  # of triangles
+    ),
+    "jelly": ("young_modulus", "density", "poisson_ratio"),
     "rope": (),  # is of a material anyhow, unless it is a CHAIN
 }
 CHAIN = ("stiffness", "bending_stiffness")  # of each spring or piece: with them it is no material
@@ -185,7 +189,8 @@ class _Level:
             table["pairs"] = inside[np.array(table["pairs"])].tolist()
         probes = document.pop("probes", [])
         if probes:
-            more = _read(self.file, document)[0].n_springs - self.coarse.n_springs
+            self.fine_pairs = _read(self.file, document)[0].pairs
+            more = len(self.fine_pairs) - self.coarse.n_springs
             own = sum(len(np.atleast_2d(t["pairs"])) for t in document.get("springs", [])) + sum(
                 len(t["one_members"] if "one_members" in t else t["one"]) for t in document.get("attachments", [])
             )
@@ -211,21 +216,37 @@ class _Level:
 
     def _probe(self, k: int, table: dict[str, Any], of_shapes: int, more: int) -> None:
         kind = table["kind"]
-        springs = [self.coarse.probes[k].given["spring"]] if kind in ("length", "tension") else table.get("springs", [])
-        if any(spring < of_shapes for spring in springs):
+        one = kind in ("length", "tension")
+        springs = [self.coarse.probes[k].given["spring"]] if one else table.get("springs", [])
+        moved = [self._pieces(spring) if spring < of_shapes else [spring + more] for spring in springs]
+        if not all(moved) or (kind == "length" and springs[0] < of_shapes):
             raise SceneError(
                 f"--resolutions: {self.file}: probes[{k}]: the springs of a shape are others in a finer mesh; measure a position,"
-                " or the strain between balls"
+                " the tension of a rope, or the strain between balls"
             )
-        if kind in ("length", "tension"):
+        if one:
             table.pop("at", None)
-            table["spring"] = springs[0] + more
+            table["spring"] = self._outer(springs[0], moved[0])
         if "springs" in table:
-            table["springs"] = [spring + more for spring in springs]
+            table["springs"] = [spring for some in moved for spring in some]
         if kind == "position" and "at" in table:
             table.pop("at")
             table["balls"] = self.coarse.probes[k].given["balls"].tolist()
         self._move(table, "balls", "members", fill=kind != "position")
+
+    def _pieces(self, spring: int) -> list[int]:
+        """The two pieces of a rope that a piece of the coarse one is in the finer one; none where it is of no rope."""
+        if not any(self.coarse.pairs[spring, 0] in one.balls for one in ropes(self.coarse)):
+            return []
+        first, last = self.everywhere[self.coarse.pairs[spring]]
+        return [
+            int(np.flatnonzero((self.fine_pairs == (ball, ball + 1)).all(axis=1))[0]) for ball in range(first, last)
+        ]
+
+    def _outer(self, spring: int, pieces: list[int]) -> int:
+        """That of the pieces which is at the end of its rope where the coarse one is, else the first."""
+        last = self.coarse.pairs[spring, 1]
+        return pieces[-1 if any(one.balls[-1] == last for one in ropes(self.coarse)) else 0]
 
 
 def _nested(grid: tuple[int, ...]) -> Ints:

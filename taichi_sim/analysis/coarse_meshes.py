@@ -1,0 +1,205 @@
+"""Coarse meshes: ropes and sheets that are bent sharply from piece to piece, and bodies with few cells across. No Taichi.
+
+A bend by an angle phi at a ball stands for an arc of phi. Its element has the curvature 2 sin(phi / 2) in place of phi, so that
+it stores phi^2 / 12 too little, and the arc is phi^2 / 24 longer than its chords. A fold that runs along a limp rope of n pieces
+is late by about 150 / n^2 of the time of a fine rope (measured, from 20 to 80 pieces): each piece that turns around it takes
+energy.
+
+Triangles and tetrahedra have one strain each. Across a bar that bends the strain is linear, so that m layers of them store
+(a + b K / mu) / m^2 too much (measured on slender bars of springs and cells), K the bulk modulus. Stubby bodies, which shear as
+well, are too stiff by a third of that or less.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.common.quantities import percent
+from taichi_sim.scene.cells import cell_volumes
+from taichi_sim.scene.objects import SceneObject, owner
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["bent_findings", "few_across", "ropes"]
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int32]
+
+SMOOTH = 0.35  # rad, at which a bend stores a hundredth too little
+FOLD = 1.0  # rad: a limp rope that turns more is folded
+FOLDED = 150.0  # times 1 / n^2: part of its time by which a fold of n pieces is late
+RIGHT = 0.01  # part of a time that is right
+SHEAR = {2: (0.8, 0.4), 3: (0.12, 0.12)}  # a and b of one layer of triangles, tetrahedra
+TOO_STIFF = 0.02  # of a stiffness, from which it is reported
+REGULAR = {2: 4.0 / math.sqrt(3.0), 3: 6.0 * math.sqrt(2.0)}  # times the size of a cell: its edge to the power of dim
+
+
+class _Bend(NamedTuple):
+    """The sharpest bend of a rope or sheet: its angle [rad], the length [m] of a piece there, the ball, and whether an element
+    resists it."""
+
+    angle: float
+    piece: float
+    ball: int
+    resists: bool
+
+
+def bent_findings(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Sentence and cure for each rope and sheet that is bent sharply at the start."""
+    for one in ropes(scene):
+        found = _of_rope(scene, one.balls)
+        if found.angle > SMOOTH:
+            yield _rope_in_words(one.name, found, len(one.balls) - 1)
+    for name, found in _of_sheets(scene).items():
+        if found.angle > SMOOTH:
+            wanted = found.piece * SMOOTH / found.angle
+            yield _bent(name, found), f"take balls {wanted:.2g} m apart there for 1 %"
+
+
+def ropes(scene: Scene) -> list[SceneObject]:
+    """Objects of three balls or more that springs join one behind the other and in no other way, whatever they are called."""
+    if not scene.n_springs:
+        return []
+    of = np.full(scene.n_balls, -1)
+    for k, one in enumerate(scene.objects):
+        of[one.balls] = k
+    low, high = np.sort(scene.pairs, axis=1).astype(np.int64).T
+    number = np.bincount(1 + np.where(of[low] == of[high], of[low], -1), minlength=len(scene.objects) + 1)[1:]
+    in_row = number == [len(one.balls) - 1 for one in scene.objects]
+    joined = set((low * scene.n_balls + high).tolist()) if in_row.any() else set()
+    found = []
+    for one, springs in zip(scene.objects, in_row):
+        if springs and len(one.balls) > 2:
+            steps = np.sort(np.stack([one.balls[:-1], one.balls[1:]], axis=1).astype(np.int64), axis=1)
+            if joined.issuperset((steps @ [scene.n_balls, 1]).tolist()):
+                found.append(one)
+    return found
+
+
+def _of_rope(scene: Scene, balls: Ints) -> _Bend:
+    x = scene.position[balls]
+    sides = np.diff(x, axis=0)
+    angle = _angles(sides[:-1], sides[1:])
+    worst = int(np.argmax(angle))
+    piece = float(np.linalg.norm(sides[worst : worst + 2], axis=1).mean())
+    bent = scene.bends[scene.bend_stiffness > 0.0]
+    return _Bend(float(angle[worst]), piece, worst + 1, bool((bent[:, 0] == balls[worst + 1]).any()))
+
+
+def _rope_in_words(name: str, found: _Bend, pieces: int) -> tuple[str, str]:
+    finer = math.ceil(pieces * found.angle / SMOOTH)
+    if found.resists:
+        return _bent(name, found), f"take {finer} pieces for 1 %"
+    where = f"{name} turns by {found.angle:.2g} rad at its ball {found.ball}, and nothing resists that"
+    if found.angle <= FOLD:
+        return (
+            f"{where}: its arc there is {percent(found.angle**2 / 24.0)} longer than its pieces",
+            f"take {finer} pieces",
+        )
+    late = FOLDED / pieces**2
+    says = f"{where}: it is folded as sharply as its {pieces} pieces allow"
+    says += f"; a fold that runs along it is about {percent(late)} late"
+    return says, f"take {math.ceil(math.sqrt(FOLDED / RIGHT))} pieces for 1 %" if late > RIGHT else ""
+
+
+def _bent(name: str, found: _Bend) -> str:
+    radius = found.piece / found.angle
+    return (
+        f"{name} is bent by {found.angle:.2g} rad from one piece to the next at its ball {found.ball}, to a radius of"
+        f" {radius:.2g} m or {1.0 / found.angle:.2g} pieces: it stores {percent(found.angle**2 / 12.0)} too little energy there"
+    )
+
+
+def _of_sheets(scene: Scene) -> dict[str, _Bend]:
+    """The sharpest bend of each surface with triangles, by its name."""
+    acts = (scene.bend_stiffness > 0.0) & scene.bend_hinge
+    acts &= np.isin(scene.bends[:, 0], scene.triangles)
+    corners = scene.bends[acts]
+    if not len(corners):
+        return {}
+    x = scene.position[corners]
+    one, other = x[:, 0] - x[:, 2], x[:, 3] - x[:, 1]
+    row = corners[:, 0] == corners[:, 1]
+    along = x[:, 1] - x[:, 0]
+    if scene.dim == 3:
+        first, second = np.cross(along, x[:, 2] - x[:, 0]), np.cross(x[:, 3] - x[:, 0], along)
+        one, other = np.where(row[:, None], one, first), np.where(row[:, None], other, second)
+    angle = _angles(one, other)
+    found: dict[str, _Bend] = {}
+    for k in np.argsort(-angle)[: max(1, np.count_nonzero(angle > SMOOTH))]:
+        ball = int(corners[k, 0])
+        body = owner(scene.objects, ball)
+        name = body.name if body else "the surface"
+        number = ball if body is None else int(np.flatnonzero(body.balls == ball)[0])
+        piece = 0.5 * float(np.linalg.norm(x[k, 3] - x[k, 2]) / max(1e-300, math.cos(0.5 * angle[k])))
+        found.setdefault(name, _Bend(float(angle[k]), piece, number, True))
+    return found
+
+
+def _angles(one: Floats, other: Floats) -> Floats:
+    """Angles (k,) [rad] between directions (k, dim)."""
+    size = np.linalg.norm(one, axis=1) * np.linalg.norm(other, axis=1)
+    cosine = np.divide(np.einsum("ki,ki->k", one, other), size, out=np.ones_like(size), where=size > 0.0)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def few_across(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Sentence and cure for each body of triangles or tetrahedra so few of which stand across it that it bends too little."""
+    for one in scene.objects:
+        cells = np.flatnonzero(np.isin(scene.cells, one.balls).all(axis=1)) if len(scene.cells) else np.zeros(0, int)
+        springs = np.isin(scene.pairs, one.balls).all(axis=1) & (scene.stiffness > 0.0)
+        if not len(cells) or not _fills(scene.cells[cells], scene.pairs[springs]):
+            continue
+        across, edge = _across(scene, cells)
+        a, b = SHEAR[scene.dim]
+        more = (a + b * _bulk_over_shear(scene, cells, springs)) / across**2
+        if more > TOO_STIFF:
+            kind = "triangles" if scene.dim == 2 else "tetrahedra"
+            much = f"{percent(more)} too stiff" if more < 1.0 else f"{1.0 + more:.2g} times as stiff as they should be"
+            wanted = edge * math.sqrt(TOO_STIFF / more)
+            yield (
+                f"about {across:.2g} {kind} stand across {one.name} on average; slender parts would be about {much} in bending",
+                f"take a spacing of {wanted:.2g} m for {percent(TOO_STIFF)}, or a jelly of boxes, which bend as they should",
+            )
+
+
+def _fills(cells: Ints, pairs: Ints) -> bool:
+    """True if cells share no face with more than one other, and springs run along their edges alone."""
+    edges = np.concatenate([cells[:, list(two)] for two in itertools.combinations(range(cells.shape[1]), 2)])
+    return len(np.unique(np.sort(edges, axis=1), axis=0)) == len(pairs) and bool((_faces(cells)[1] <= 2).all())
+
+
+def _faces(cells: Ints) -> tuple[Ints, NDArray[np.int64]]:
+    """The faces (f, dim) of cells, and how many cells have each."""
+    width = cells.shape[1]
+    faces = np.concatenate([cells[:, list(some)] for some in itertools.combinations(range(width), width - 1)])
+    found, number = np.unique(np.sort(faces, axis=1), axis=0, return_counts=True)
+    return found, number
+
+
+def _across(scene: Scene, cells: NDArray[np.int64]) -> tuple[float, float]:
+    """Cells across a body, 2 V / S over their edge, and that edge [m]."""
+    corners = scene.cells[cells]
+    volume = float(np.abs(cell_volumes(scene.position, corners)).sum())
+    faces, number = _faces(corners)
+    x = scene.position[faces[number == 1]]
+    side = x[:, 1] - x[:, 0]
+    area = (
+        np.linalg.norm(side, axis=1)
+        if scene.dim == 2
+        else 0.5 * np.linalg.norm(np.cross(side, x[:, 2] - x[:, 0]), axis=1)
+    )
+    edge = (REGULAR[scene.dim] * volume / len(cells)) ** (1.0 / scene.dim)
+    return 2.0 * volume / float(area.sum()) / edge, edge
+
+
+def _bulk_over_shear(scene: Scene, cells: NDArray[np.int64], springs: NDArray[np.bool_]) -> float:
+    """K / mu of a body: its springs alone have K = (1 + 2 / dim) mu, and sum k L^2 = dim (dim + 2) mu V; cells add to K."""
+    dim, rest = scene.dim, scene.rest_volume[cells]
+    mu = float(np.sum(scene.stiffness[springs] * scene.rest_length[springs] ** 2)) / (
+        dim * (dim + 2) * float(rest.sum())
+    )
+    return 1.0 + 2.0 / dim + float(scene.bulk_modulus[cells] @ rest) / float(rest.sum()) / mu

@@ -1,0 +1,156 @@
+"""Meshes that are too coarse: what is said of them, against what bars, arcs and folds do."""
+
+import numpy as np
+import pytest
+from statics import forces
+
+import taichi_sim as ts
+from taichi_sim.analysis.accuracy import Setup, findings
+from taichi_sim.analysis.coarse_meshes import bent_findings, few_across, ropes
+from taichi_sim.analysis.methods import VERLET
+from taichi_sim.geometry.mesh import Surface
+from taichi_sim.shapes.jelly_material import springs_of
+
+pytestmark = pytest.mark.once
+
+
+def said(scene):
+    return [what for what, _ in (*bent_findings(scene), *few_across(scene))]
+
+
+def number(words, after, before):
+    return float(words.split(after)[1].split(before)[0])
+
+
+def rope(dim, n, place, **more):
+    """A rope of n balls at places (n, dim) [m]."""
+    scene = ts.Scene(dim=dim, gravity=[0, -7, 0][:dim])
+    body = ts.shapes.rope(scene, np.zeros(dim), np.eye(dim)[0] * 0.9, n, **more)
+    scene.set_balls(body.balls, position=place)
+    return scene
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("pieces", [6, 14])
+def test_a_rod_in_an_arc(dim, pieces):
+    """By the energy that its elements store, against EI / 2 times the turn squared over the length of a piece."""
+    radius, rigidity, angle = 0.4, 0.03, np.linspace(0.2, 3.4, pieces + 1)
+    circle = radius * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)[:, :dim]
+    turn = angle[1] - angle[0]
+    piece = 2.0 * radius * np.sin(turn / 2.0)
+    scene = rope(dim, pieces + 1, circle, length=pieces * piece, EI=rigidity, EA=1e4)
+    curve = np.einsum("bk,bki->bi", scene.bend_weights, circle[scene.bends])
+    stored = 0.5 * scene.bend_stiffness @ np.sum(curve**2, axis=1)
+    exact = 0.5 * rigidity * turn**2 / piece * (pieces - 1)
+    if turn < 0.35:
+        assert said(scene) == []
+        assert 1.0 - stored / exact < 0.01
+    else:
+        (what,) = said(scene)
+        assert number(what, "it stores ", " %") / 100.0 == pytest.approx(1.0 - stored / exact, rel=0.1, abs=2e-3)
+        assert number(what, "a radius of ", " m") == pytest.approx(radius, rel=0.05)
+
+
+@pytest.mark.parametrize(("pieces", "late"), [(20, 0.29), (40, 0.094), (80, 0.027)])
+def test_a_folded_rope(pieces, late):
+    """Measured: the time of its end to 0.9 of the length, see tests/published/test_folded_chain.py."""
+    i = np.arange(pieces + 1)
+    along = np.where(i < pieces / 2, 0.0, np.where(i > pieces / 2, 0.5, 0.2)) / pieces
+    scene = rope(2, pieces + 1, np.stack([along, -np.minimum(i, pieces - i) / pieces], axis=1))
+    (what,) = said(scene)
+    assert number(what, "is about ", " %") / 100.0 == pytest.approx(late, rel=0.4)
+    setup = Setup(VERLET, 1e-4, "f64")
+    assert [one.cure for one in findings(scene, setup) if one.subject == "mesh"] == ["take 123 pieces for 1 %"]
+
+
+def test_a_rope_is_one_by_what_it_is_made_of():
+    """Under a name of its own, and made by hand; not a square of springs, and not with one more across."""
+    scene = ts.Scene(dim=2)
+    corner = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    found = []
+    for pairs in ([[0, 1], [1, 2], [2, 3]], [[0, 1], [1, 2], [2, 3], [3, 0]], [[0, 1], [2, 1], [3, 0]]):
+        balls = scene.add_balls(corner + len(found), radius=0.1)
+        scene.add_springs(balls[np.array(pairs)], stiffness=1.0)
+        scene.set_name(balls, f"thing {len(found)}")
+        found.append(balls)
+    scene.add_springs([[found[0][1], found[1][1]]], stiffness=1.0)
+    assert [one.name for one in ropes(scene)] == ["thing 0"]
+    assert len(said(scene)) == 1
+
+
+@pytest.mark.parametrize("kind", ["grid", "mesh", "triangles"])
+def test_a_sheet_on_a_cylinder(kind):
+    """Bent by the spacing over the radius at each row of balls."""
+    scene, radius, n = ts.Scene(dim=3), 0.11, 11
+    ts.shapes.cloth(scene, (0.6, 0.5), (n, 9), bending_rigidity=2e-4)
+    x = scene.position.copy()
+    if kind != "grid":
+        scene, faces = ts.Scene(dim=3), scene.triangles
+        more = {"warp": 40.0} if kind == "triangles" else {}
+        ts.shapes.cloth(scene, mesh=Surface(x, faces), bending_rigidity=2e-4, **more)
+    assert said(scene) == []
+    angle = x[:, 0] / radius
+    scene.set_balls(position=np.stack([radius * np.sin(angle), radius * np.cos(angle), x[:, 2]], axis=1))
+    (what,) = said(scene)
+    assert number(what, "is bent by ", " rad") == pytest.approx(0.06 / radius, rel=0.02)
+    assert number(what, "a radius of ", " m") == pytest.approx(radius, rel=0.1)
+
+
+def bar(dim, layers, poisson):
+    """A bar of triangles or tetrahedra of springs and cells, held at one end, and how much it is too stiff there."""
+    long, high = 0.9, 0.09
+    size, count = np.array([long, high, 0.12])[:dim], np.array([8 * layers, layers, layers])[:dim]
+    scene = ts.Scene(dim=dim)
+    grid = np.stack(np.meshgrid(*(np.arange(n + 1) for n in count), indexing="ij"), axis=-1).reshape(-1, dim)
+    index = np.arange(len(grid)).reshape(count + 1)
+    cut = {
+        2: ((0, 1, 3), (0, 3, 2)),
+        3: ((0, 1, 3, 7), (0, 3, 2, 7), (0, 2, 6, 7), (0, 6, 4, 7), (0, 4, 5, 7), (0, 5, 1, 7)),
+    }
+    corners = [index[tuple(slice(o, n + o) for o, n in zip(at, count))].ravel() for at in np.ndindex(*(2,) * dim)]
+    cells = np.concatenate([np.stack([corners[k] for k in some], axis=1) for some in cut[dim]])
+    x = grid * size / count
+    edges = x[cells[:, 1:]] - x[cells[:, :1]]
+    cells[np.linalg.det(edges) < 0] = cells[np.linalg.det(edges) < 0][:, [1, 0, *range(2, dim + 1)]]
+    body = springs_of(x, cells)
+    mu = 5e3
+    lam = 2.0 * mu * poisson / (1.0 - (dim - 1) * poisson)
+    balls = scene.add_balls(body.points, radius=1e-3, mass=1.0, pinned=x[:, 0] == 0.0)
+    scene.new_object("jelly", balls)
+    scene.add_springs(body.pairs, stiffness=mu * body.stiffness)
+    scene.add_cells(body.cells, bulk_modulus=lam - mu, crush_modulus=0.0)
+    force, end = np.zeros_like(x), x[:, 0] == x[:, 0].max()
+    force[end, 1] = 1e-6 / end.sum()
+    free = np.repeat(~scene.pinned, dim)
+    moved = np.zeros(x.size)
+    moved[free] = np.linalg.solve(forces(scene, x)[1][np.ix_(free, free)], force.ravel()[free])
+    wide = 1.0 if dim == 2 else size[2]
+    young, area = 2.0 * mu * (1.0 + poisson), wide * high
+    exact = 1e-6 * (long**3 / (3.0 * young * area * high**2 / 12.0) + long / (5.0 / 6.0 * mu * area))
+    return scene, exact / moved.reshape(x.shape)[end, 1].mean() - 1.0
+
+
+@pytest.mark.parametrize(
+    ("dim", "layers", "poisson"), [(2, 2, 0.4), (2, 4, 0.4), (2, 3, 0.95), (3, 1, 0.3), (3, 2, 0.45)]
+)
+def test_a_bar_of_few_layers_is_as_much_too_stiff_as_is_said(dim, layers, poisson):
+    """Within a factor of two."""
+    scene, excess = bar(dim, layers, poisson)
+    (what,) = said(scene)
+    if "times as stiff" in what:
+        found = number(what, "would be about ", " times") - 1.0
+    else:
+        found = number(what, "would be about ", " %") / 100.0
+    assert 0.5 < found / excess < 2.0
+
+
+def test_boxes_and_what_is_straight_say_nothing():
+    scene = ts.Scene(dim=3)
+    ts.shapes.jelly(scene, (0.5, 0.1, 0.1), (6, 2, 2), young_modulus=1e3)
+    ts.shapes.rope(scene, (0, 1, 0), (1, 1, 0), 8)
+    ts.shapes.wheel(scene, (0, 2, 0), 0.3, 5)
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    ts.shapes.cloth(
+        scene, mesh=Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])), bending_rigidity=1.0
+    )
+    assert said(scene) == []

@@ -1,0 +1,83 @@
+"""Slowest motions of strings and beams against their exact frequencies, and how `check` words them."""
+
+import re
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET
+from taichi_sim.analysis.slow_modes import not_worked_out, slow_decays
+from taichi_sim.reports import check
+
+pytestmark = pytest.mark.once
+
+LENGTH, MASS, STRETCH, H = 0.7, 0.02, 900.0, 1e-5  # m, kg/m, N, s
+
+
+def rope(dim, n, **more):
+    """A rope along a slanted line."""
+    scene = ts.Scene(dim=dim)
+    along = np.array([0.6, 0.8]) if dim == 2 else np.array([2.0, 3.0, 6.0]) / 7.0
+    start = np.arange(dim) - 0.3
+    ts.shapes.rope(scene, start, start + LENGTH * along, n, EA=STRETCH, radius=1e-3, **more)
+    return scene
+
+
+def frequencies(scene, method=VERLET):
+    return np.array([mode.frequency for mode in slow_decays(scene, method, H, scene.position)])
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("tension", [3.0, 40.0])
+def test_a_string_between_two_nails(dim, tension):
+    """n / (2 L) sqrt(T / mu), each once for every direction across."""
+    rest = LENGTH / (1.0 + tension / STRETCH)
+    scene = rope(dim, 41, length=rest, mass=MASS * LENGTH, pinned="border")
+    exact = np.arange(1, 4) / (2.0 * LENGTH) * np.sqrt(tension / MASS)
+    assert frequencies(scene)[: 3 * (dim - 1)] == pytest.approx(np.repeat(exact, dim - 1), rel=5e-3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("ends", "roots"), [("clamped", [1.875104]), ("free", [4.730041, 7.853205])])
+def test_a_beam(dim, ends, roots):
+    """(x / L)^2 sqrt(EI / mu) / (2 pi), cos x cosh x = -1 of one end clamped, 1 of both free."""
+    n, rigidity = 41, 0.004
+    clamped = ends == "clamped"
+    scene = rope(dim, n, mass_per_length=MASS, EI=rigidity, pinned=[0, 1] if clamped else False)
+    free = LENGTH * (n - 2) / (n - 1) if clamped else LENGTH
+    exact = (np.array(roots) / free) ** 2 * np.sqrt(rigidity / MASS) / (2.0 * np.pi)
+    found = frequencies(scene)[: len(roots) * (dim - 1)]
+    assert found == pytest.approx(np.repeat(exact, dim - 1), rel=8e-3)
+
+
+def test_bends_damp_what_bends():
+    """Every mode of a beam whose bends are damped by a time decays by half of that times omega^2."""
+    scene, time = rope(2, 21, mass_per_length=MASS, EI=0.004, damping=0.0), 2e-4
+    scene.set_bending(damping=time * scene.bend_stiffness)
+    modes = slow_decays(scene, VERLET, H, scene.position)
+    rates = [0.5 * time * (2.0 * np.pi * mode.frequency) ** 2 for mode in modes]
+    assert [mode.exact for mode in modes] == pytest.approx(rates, rel=1e-6)
+    assert [mode.found for mode in modes] == pytest.approx(rates, rel=1e-2)
+
+
+def test_check_names_the_slowest_first():
+    """Also where the step is more wrong of a faster one, which it names as well."""
+    tension = 11.0
+    scene = rope(2, 12, length=LENGTH / (1.0 + tension / STRETCH), mass=MASS * LENGTH, damping=0.0, pinned="border")
+    slow = frequencies(scene)
+    for method, h in ((VERLET, 1e-5), (IMPLICIT_EULER, 1e-4)):
+        lines = list(check.damping(scene, method, h, scene.position))
+        named = [float(one) for line in lines for one in re.findall(r"([\d.]+) Hz", line)]
+        assert named[0] == pytest.approx(slow[0], rel=5e-3)
+        assert (len(lines) == 1) is (method is VERLET)
+    assert named[1] == pytest.approx(slow[-1], rel=5e-3)
+
+
+def test_what_is_not_worked_out():
+    scene = rope(2, 5, mass=1.0, EI=0.1)
+    assert not not_worked_out(scene)
+    scene = ts.Scene(dim=2)
+    ts.shapes.jelly(scene, size=(1.0, 1.0), resolution=(3, 3), young_modulus=100.0)
+    scene.add_springs([[0, 8]], stiffness=1.0)
+    assert not_worked_out(scene).endswith("this scene also has bricks")
