@@ -7,7 +7,8 @@ energy.
 
 Triangles and tetrahedra have one strain each. Across a bar that bends the strain is linear, so that m layers of them store
 (a + b K / mu) / m^2 too much (measured on slender bars of springs and cells), K the bulk modulus. Stubby bodies, which shear as
-well, are too stiff by a third of that or less.
+well, are too stiff by a third of that or less. Boxes of springs, m across, are c / m + d / m^2 too stiff (measured on bars):
+springs at the surface, which has boxes on one side of it alone, are whole.
 """
 
 import itertools
@@ -33,6 +34,7 @@ FOLD = 1.0  # rad: a limp rope that turns more is folded
 FOLDED = 150.0  # times 1 / n^2: part of its time by which a fold of n pieces is late
 RIGHT = 0.01  # part of a time that is right
 SHEAR = {2: (0.8, 0.4), 3: (0.12, 0.12)}  # a and b of one layer of triangles, tetrahedra
+BOXES = {2: (2.0, 0.46), 3: (2.1, 0.7)}  # c and d
 TOO_STIFF = 0.02  # of a stiffness, from which it is reported
 REGULAR = {2: 4.0 / math.sqrt(3.0), 3: 6.0 * math.sqrt(2.0)}  # times the size of a cell: its edge to the power of dim
 
@@ -63,9 +65,7 @@ def ropes(scene: Scene) -> list[SceneObject]:
     """Objects of three balls or more that springs join one behind the other and in no other way, whatever they are called."""
     if not scene.n_springs:
         return []
-    of = np.full(scene.n_balls, -1)
-    for k, one in enumerate(scene.objects):
-        of[one.balls] = k
+    of = _objects(scene)
     low, high = np.sort(scene.pairs, axis=1).astype(np.int64).T
     number = np.bincount(1 + np.where(of[low] == of[high], of[low], -1), minlength=len(scene.objects) + 1)[1:]
     in_row = number == [len(one.balls) - 1 for one in scene.objects]
@@ -77,6 +77,19 @@ def ropes(scene: Scene) -> list[SceneObject]:
             if joined.issuperset((steps @ [scene.n_balls, 1]).tolist()):
                 found.append(one)
     return found
+
+
+def _objects(scene: Scene) -> NDArray[np.int64]:
+    """Number of the object that each ball (n,) belongs to, or -1."""
+    of = np.full(scene.n_balls, -1)
+    for k, one in enumerate(scene.objects):
+        of[one.balls] = k
+    return of
+
+
+def _common(of: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Object (e,) that all balls of an element have in common, or -1; of: that of each ball (e, k)."""
+    return np.where((of == of[:, :1]).all(axis=1), of[:, 0], -1)
 
 
 def _of_rope(scene: Scene, balls: Ints) -> _Bend:
@@ -148,22 +161,52 @@ def _angles(one: Floats, other: Floats) -> Floats:
 
 def few_across(scene: Scene) -> Iterator[tuple[str, str]]:
     """Sentence and cure for each body of triangles or tetrahedra so few of which stand across it that it bends too little."""
-    for one in scene.objects:
-        cells = np.flatnonzero(np.isin(scene.cells, one.balls).all(axis=1)) if len(scene.cells) else np.zeros(0, int)
-        springs = np.isin(scene.pairs, one.balls).all(axis=1) & (scene.stiffness > 0.0)
-        if not len(cells) or not _fills(scene.cells[cells], scene.pairs[springs]):
+    if not len(scene.cells) or not scene.n_springs:
+        return
+    of = _objects(scene)
+    acting = np.where(scene.stiffness > 0.0, _common(of[scene.pairs]), -1)
+    bodies, springs_of = _common(of[scene.cells]), np.argsort(acting, kind="stable")
+    first = np.searchsorted(acting[springs_of], np.arange(len(scene.objects) + 1))
+    for k in np.unique(bodies[bodies >= 0]):
+        one, cells, springs = scene.objects[k], np.flatnonzero(bodies == k), springs_of[first[k] : first[k + 1]]
+        if not len(springs):
+            continue
+        if not _fills(scene.cells[cells], scene.pairs[springs]):
+            if not scene.bulk_modulus[cells].any():
+                yield _boxes_in_words(scene, one, springs)
             continue
         across, edge = _across(scene, cells)
         a, b = SHEAR[scene.dim]
         more = (a + b * _bulk_over_shear(scene, cells, springs)) / across**2
         if more > TOO_STIFF:
             kind = "triangles" if scene.dim == 2 else "tetrahedra"
-            much = f"{percent(more)} too stiff" if more < 1.0 else f"{1.0 + more:.2g} times as stiff as they should be"
             wanted = edge * math.sqrt(TOO_STIFF / more)
             yield (
-                f"about {across:.2g} {kind} stand across {one.name} on average; slender parts would be about {much} in bending",
+                f"about {across:.2g} {kind} stand across {one.name} on average; a slender one would be about"
+                f" {_too_stiff(more)} in bending",
                 f"take a spacing of {wanted:.2g} m for {percent(TOO_STIFF)}, or a jelly of boxes, which bend as they should",
             )
+
+
+def _boxes_in_words(scene: Scene, one: SceneObject, springs: NDArray[np.int64]) -> tuple[str, str]:
+    """Sentence and cure for a block of boxes of springs, by the number of boxes where that is least."""
+    ends = scene.position[scene.pairs[springs]]
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    _, first = np.unique(np.round(along / length[:, None], 3), axis=0, return_index=True)  # of each direction
+    reach = np.ptp(scene.position[one.balls] @ (along[first] / length[first, None]).T, axis=0)
+    across = max(1, round(float((reach / length[first]).min())))
+    c, d = BOXES[scene.dim]
+    return (
+        f"{one.name} is made of boxes of springs, {across} across: it is about {_too_stiff(c / across + d / across**2)} in"
+        " bending",
+        "give it a young_modulus, which makes bricks that bend as they should",
+    )
+
+
+def _too_stiff(more: float) -> str:
+    """Words on the part by which a stiffness is too large."""
+    return f"{percent(more)} too stiff" if more < 1.0 else f"{1.0 + more:.2g} times as stiff as it should be"
 
 
 def _fills(cells: Ints, pairs: Ints) -> bool:
@@ -196,7 +239,7 @@ def _across(scene: Scene, cells: NDArray[np.int64]) -> tuple[float, float]:
     return 2.0 * volume / float(area.sum()) / edge, edge
 
 
-def _bulk_over_shear(scene: Scene, cells: NDArray[np.int64], springs: NDArray[np.bool_]) -> float:
+def _bulk_over_shear(scene: Scene, cells: NDArray[np.int64], springs: NDArray[np.int64]) -> float:
     """K / mu of a body: its springs alone have K = (1 + 2 / dim) mu, and sum k L^2 = dim (dim + 2) mu V; cells add to K."""
     dim, rest = scene.dim, scene.rest_volume[cells]
     mu = float(np.sum(scene.stiffness[springs] * scene.rest_length[springs] ** 2)) / (

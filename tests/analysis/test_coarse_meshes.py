@@ -96,6 +96,18 @@ def test_a_sheet_on_a_cylinder(kind):
     assert number(what, "a radius of ", " m") == pytest.approx(radius, rel=0.1)
 
 
+def beam(scene, x, long, high, wide, mu, poisson):
+    """Part by which a bar along x that is held at one end is stiffer than a beam."""
+    force, end = np.zeros_like(x), x[:, 0] > x[:, 0].max() - 1e-9
+    force[end, 1] = 1e-6 / end.sum()
+    free = np.repeat(~scene.pinned, x.shape[1])
+    moved = np.zeros(x.size)
+    moved[free] = np.linalg.solve(forces(scene, x)[1][np.ix_(free, free)], force.ravel()[free])
+    young, area = 2.0 * mu * (1.0 + poisson), wide * high
+    exact = 1e-6 * (long**3 / (3.0 * young * area * high**2 / 12.0) + long / (5.0 / 6.0 * mu * area))
+    return exact / moved.reshape(x.shape)[end, 1].mean() - 1.0
+
+
 def bar(dim, layers, poisson):
     """A bar of triangles or tetrahedra of springs and cells, held at one end, and how much it is too stiff there."""
     long, high = 0.9, 0.09
@@ -119,15 +131,7 @@ def bar(dim, layers, poisson):
     scene.new_object("jelly", balls)
     scene.add_springs(body.pairs, stiffness=mu * body.stiffness)
     scene.add_cells(body.cells, bulk_modulus=lam - mu, crush_modulus=0.0)
-    force, end = np.zeros_like(x), x[:, 0] == x[:, 0].max()
-    force[end, 1] = 1e-6 / end.sum()
-    free = np.repeat(~scene.pinned, dim)
-    moved = np.zeros(x.size)
-    moved[free] = np.linalg.solve(forces(scene, x)[1][np.ix_(free, free)], force.ravel()[free])
-    wide = 1.0 if dim == 2 else size[2]
-    young, area = 2.0 * mu * (1.0 + poisson), wide * high
-    exact = 1e-6 * (long**3 / (3.0 * young * area * high**2 / 12.0) + long / (5.0 / 6.0 * mu * area))
-    return scene, exact / moved.reshape(x.shape)[end, 1].mean() - 1.0
+    return scene, beam(scene, x, long, high, 1.0 if dim == 2 else size[2], mu, poisson)
 
 
 @pytest.mark.parametrize(
@@ -142,6 +146,24 @@ def test_a_bar_of_few_layers_is_as_much_too_stiff_as_is_said(dim, layers, poisso
     else:
         found = number(what, "would be about ", " %") / 100.0
     assert 0.5 < found / excess < 2.0
+
+
+@pytest.mark.parametrize(("dim", "across"), [(2, 1), (2, 3), (2, 6), (3, 1), (3, 2)])
+def test_a_bar_of_boxes_of_springs(dim, across):
+    """Against a beam of the material that many boxes have, mu = sum k L^2 / (dim (dim + 2) V), within a tenth."""
+    long, high = 1.2, 0.1
+    scene = ts.Scene(dim=dim)
+    size, count = (long, high, high)[:dim], (12 * across + 1, across + 1, across + 1)[:dim]
+    ts.shapes.jelly(scene, size, count, stiffness=80.0, mass=1.0, pinned="left")
+    x = scene.position
+    mu = scene.stiffness @ scene.rest_length**2 / (dim * (dim + 2) * np.prod(size))
+    excess = beam(scene, x, long, high, size[2] if dim == 3 else 1.0, mu, 1.0 / (dim + 1))
+    (what,) = said(scene)
+    if "times as stiff" in what:
+        found = number(what, "it is about ", " times") - 1.0
+    else:
+        found = number(what, "it is about ", " %") / 100.0
+    assert found == pytest.approx(excess, rel=0.1)
 
 
 def test_boxes_and_what_is_straight_say_nothing():

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from statics import at_rest
 
 import taichi_sim as ts
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET
@@ -49,6 +50,36 @@ def test_a_beam(dim, ends, roots):
     exact = (np.array(roots) / free) ** 2 * np.sqrt(rigidity / MASS) / (2.0 * np.pi)
     found = frequencies(scene)[: len(roots) * (dim - 1)]
     assert found == pytest.approx(np.repeat(exact, dim - 1), rel=8e-3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_chain_that_hangs_from_its_end(dim):
+    """j / (4 pi) sqrt(g / L), j the zeros of J0; unstretched at the start, so that its weight is yet to pull."""
+    g, n = 7.0, 41
+    scene = ts.Scene(dim=dim, gravity=[0, -g, 0][:dim])
+    down = np.array([0, -1, 0])[:dim]
+    ts.shapes.rope(scene, 0 * down, LENGTH * down, n, EA=STRETCH, mass=0.3, pinned=[0])
+    exact = np.array([2.404826, 5.520078]) / (4.0 * np.pi) * np.sqrt(g / LENGTH)
+    assert frequencies(scene)[: 2 * (dim - 1)] == pytest.approx(np.repeat(exact, dim - 1), rel=0.01)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_cable_between_two_points(dim):
+    """Unstretched at the start it has the modes of where it comes to rest, found by Newton's method."""
+    scene = ts.Scene(dim=dim, gravity=[0, -7.0, 0][:dim])
+    ends = np.array([[0.1, 0.0, 0.2], [0.9, 0.3, 0.2]])[:, :dim]
+    ts.shapes.rope(scene, *ends, 25, length=1.2, EA=STRETCH, mass=0.3, pinned="border")
+    rest, _ = at_rest(scene, scene.position * (1.0, 1.002, 1.0)[:dim], most=1e-9)
+    found, exact = (slow_decays(scene, VERLET, H, x)[0].frequency for x in (scene.position, rest))
+    assert found == pytest.approx(exact, rel=0.02)
+    assert exact < 2.0
+
+
+def test_a_level_rope_is_not_near_its_place_of_rest():
+    """Nothing resists that it falls."""
+    scene = ts.Scene(dim=2, gravity=(0, -7.0))
+    ts.shapes.rope(scene, (0, 0), (LENGTH, 0), 21, EA=STRETCH, mass_per_length=MASS, pinned="border")
+    assert frequencies(scene)[0] == pytest.approx(np.sqrt(STRETCH / MASS) / (2.0 * LENGTH), rel=0.01)
 
 
 def test_bends_damp_what_bends():

@@ -1,8 +1,11 @@
 """Arguments of `ts.video` that other programs call otherwise."""
 
+import time
+
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.common import progress
 from taichi_sim.common.errors import SceneError
 from taichi_sim.outputs import quick
 
@@ -18,6 +21,24 @@ def test_a_word_that_is_no_argument_is_refused_with_what_was_meant(tmp_path, wor
     with pytest.raises(SceneError, match=f"^{word}: is not an argument of video; did you mean '{meant}'"):
         ts.video(scene, tmp_path / "x.mp4", **{word: 30})
     assert not list(tmp_path.iterdir())
+
+
+def test_a_video_says_that_the_simulation_is_prepared(tmp_path, monkeypatch, capsys):
+    """As it settles, say, before the first frame."""
+    said = []
+
+    def prepared():
+        while not said and time.monotonic() < until:
+            time.sleep(0.01)
+            said.extend(line for line in capsys.readouterr().err.splitlines() if "preparing the simulation" in line)
+        raise SceneError("enough", says="is enough")
+
+    monkeypatch.setattr(progress, "EVERY", 0.02)
+    monkeypatch.setattr(quick, "_simulation", lambda what, _: (what, prepared))
+    until = time.monotonic() + 10.0
+    with pytest.raises(SceneError, match="enough"):
+        ts.video(ts.Scene(dim=2), tmp_path / "x.mp4")
+    assert said
 
 
 @pytest.mark.parametrize("of_scene", [True, False])
