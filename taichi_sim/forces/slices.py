@@ -33,7 +33,7 @@ class Slices(NamedTuple):
         return slices if slices.room <= SPARSEST * start[-1] else None
 
     def spread(self, values: NDArray, idle: int = 0) -> NDArray:
-        """A value for each place, from one for each entry."""
-        spread = np.full(self.room, idle, dtype=values.dtype)
+        """A value, or a row of them, for each place, from one for each entry."""
+        spread = np.full((self.room, *values.shape[1:]), idle, dtype=values.dtype)
         spread[self.place] = values
         return spread

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_RATIO", "STRETCHED", "constants", "density", "lame"]
+__all__ = ["MOST_RATIO", "STRETCHED", "constants", "density", "in_plane_strain", "lame"]
 
 Floats = NDArray[np.float64]
 MOST_RATIO = {2: 0.9996, 3: 0.4999}  # Poisson's, by the dimensions: in 2D that of plane strain with the other
@@ -18,6 +18,12 @@ def lame(dim: int, young_modulus: Any, poisson_ratio: Any) -> tuple[Any, Any]:
     """Lame's constants mu and lambda [Pa, in 2D N/m]."""
     mu = young_modulus / (2.0 * (1.0 + poisson_ratio))
     return mu, 2.0 * mu * poisson_ratio / (1.0 - (dim - 1) * poisson_ratio)
+
+
+def in_plane_strain(young_modulus: float, poisson_ratio: float) -> tuple[float, float]:
+    """Modulus and ratio in 2D of a long body of a material whose length cannot change."""
+    ratio = poisson_ratio / (1.0 - poisson_ratio)
+    return young_modulus / (1.0 - poisson_ratio**2), min(ratio, MOST_RATIO[2])
 
 
 def constants(mu: Any, lam: Any) -> tuple[Any, Any, Any]:

@@ -15,7 +15,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.geometry import mesh as meshes
-from taichi_sim.scene.neo_hookean import MOST_RATIO, lame
+from taichi_sim.scene.neo_hookean import MOST_RATIO, in_plane_strain, lame
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import jelly_material
 from taichi_sim.shapes.base import (
@@ -48,6 +48,7 @@ MESH_RATIO = 0.4  # Poisson's, of a filled mesh
 FLAT_MESH = 1e-6  # of its longest side: a mesh that is thinner is no body
 DEFAULT_BOXES = 16  # along the longest side of a mesh
 FILLS = ("voxels", "tetrahedra")
+PLANES = ("stress", "strain")
 EDGE_SHEAR = {
     2: 0.5,
     3: 0.8,
@@ -68,6 +69,7 @@ def jelly(
     density: float | None = None,
     young_modulus: float | None = None,
     poisson_ratio: float | None = None,
+    plane: str | None = None,
     fill: str = "voxels",
     spacing: float | None = None,
     damping: float | None = None,
@@ -104,7 +106,9 @@ def jelly(
         density: in place of mass [kg/m^3, in 2D kg/m^2].
         young_modulus: how stiff it is when pulled [Pa, in 2D N/m]. By default as for stiffness.
         poisson_ratio: how much it narrows when pulled [1], 0 to 0.4999 (in 2D 0.9996); 1/4 (in 2D 1/3) by default, 0.4 for a
-            mesh. In 2D modulus and ratio are those of a sheet in its plane, see Scene.add_bricks.
+            mesh.
+        plane: in 2D "stress", a sheet of the material that may change its thickness, which is the default; or "strain", a slice
+            of a long body, with ratios to 0.4999.
         fill: "voxels", those boxes of a lattice whose centre is inside, whatever the mesh; or "tetrahedra" that follow it, from
             the package pytetwild, which takes closed meshes alone and, each time, other points.
         damping: of each spring [N s/m]. In a material the viscosity that springs of such damping along all edges would give.
@@ -114,11 +118,11 @@ def jelly(
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
         up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
-    elastic = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
+    elastic: dict[str, Any] = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
     if stiffness is None:
         elastic = with_preset(scene, material, elastic, () if mass is None else ("density",))
         density, young_modulus, poisson_ratio = elastic.values()
-    exclusive("jelly", elastic, {"stiffness": stiffness})
+    exclusive("jelly", elastic | {"plane": plane}, {"stiffness": stiffness})
     exclusive("jelly", {"density": density}, {"mass": mass})
     factor = validation.number("jelly.scale", scale, positive=True)
     validation.one_of("jelly.fill", fill, FILLS)
@@ -134,7 +138,7 @@ def jelly(
         if up is not None:
             raise SceneError("jelly.up", says="is for a mesh; give position and rotation instead")
         block = _block(scene.dim, size, resolution)
-        if all(value is None for value in elastic.values()):
+        if plane is None and all(value is None for value in elastic.values()):
             points, kinds, soft, triangles, finest, cells = _springs(block, factor, mass)
             total = or_default("jelly.mass", mass, JELLY_DENSITY[scene.dim] * float(np.prod(block[0] * factor)))
             strength = at_least_0("jelly.stiffness", stiffness, soft)
@@ -177,6 +181,7 @@ def jelly(
         default_radius,
         young_modulus=young_modulus,
         poisson_ratio=ratio,
+        plane=plane,
         damping=damping,
         radius=radius,
         pinned=pinned,
@@ -202,6 +207,7 @@ def of_body(
     *,
     young_modulus: float | None = None,
     poisson_ratio: float | None = None,
+    plane: str | None = None,
     damping: float | None = None,
     radius: float | None = None,
     pinned: Pins = False,
@@ -218,12 +224,18 @@ def of_body(
     if surface_collision and scene.dim == 2:
         raise SceneError(f"{shape}.surface_collision", says="needs a scene with dim = 3")
     masses = body.volume * (mass / float(body.volume.sum()))
-    ratio = 1 / (scene.dim + 1) if poisson_ratio is None else poisson_ratio
-    ratio = validation.number(f"{shape}.poisson_ratio", ratio, low=0, high=MOST_RATIO[scene.dim])
+    if plane is not None:
+        validation.one_of(f"{shape}.plane", plane, PLANES)
+        if scene.dim == 3:
+            raise SceneError(f"{shape}.plane", says="needs a scene with dim = 2")
+    long = plane == "strain"
+    ratio = 1 / (4 if long else scene.dim + 1) if poisson_ratio is None else poisson_ratio
+    ratio = validation.number(f"{shape}.poisson_ratio", ratio, low=0, high=MOST_RATIO[3 if long else scene.dim])
+    factor, ratio = in_plane_strain(1.0, ratio) if long else (1.0, ratio)
     if young_modulus is None:
         modulus = _wobbly(body, masses, height, ratio, bounded)
     else:
-        modulus = validation.number(f"{shape}.young_modulus", young_modulus, positive=True)
+        modulus = factor * validation.number(f"{shape}.young_modulus", young_modulus, positive=True)
     drag = at_least_0(f"{shape}.damping", damping)
     ball_radius = or_default(f"{shape}.radius", radius, default_radius)
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)

@@ -31,7 +31,7 @@ EDGE_BALL = 0.05  # of the spacing: balls at the ends of the sticks that are a c
 ELASTIC = ("density", "young_modulus", "poisson_ratio")
 WOVEN = ("mass_per_area", "stretch_stiffness", "bending_rigidity")
 MOVES = ("damping", "radius", "velocity", "pinned", "self_collision", "surface_collision")
-TAKES = {"jelly": {*ELASTIC, *MOVES}, "cloth": {*WOVEN, *MOVES}, "collider": set()}
+TAKES = {"jelly": {*ELASTIC, "plane", *MOVES}, "cloth": {*WOVEN, *MOVES}, "collider": set()}
 
 
 @takes_color
@@ -47,6 +47,7 @@ def text(
     density: float | None = None,
     young_modulus: float | None = None,
     poisson_ratio: float | None = None,
+    plane: str | None = None,
     mass_per_area: float | None = None,
     stretch_stiffness: float | None = None,
     bending_rigidity: float | None = None,
@@ -75,6 +76,7 @@ def text(
         spacing: of the balls [m]; a twelfth of the height by default.
         depth: of jelly and colliders in 3D along z [m]; a quarter of the height by default.
         density: of jelly [kg/m^3, in 2D kg/m^2]; young_modulus: of jelly [Pa, in 2D N/m]; poisson_ratio: of jelly [1].
+        plane: of jelly in 2D, "stress" or "strain", see `jelly`.
         mass_per_area: of cloth [kg/m^2]; stretch_stiffness: of cloth [N/m]; bending_rigidity: of cloth [N m].
         radius: of each ball [m]; 0.45 of the spacing by default, 0.25 with surface_collision.
     """
@@ -95,6 +97,7 @@ def svg(
     density: float | None = None,
     young_modulus: float | None = None,
     poisson_ratio: float | None = None,
+    plane: str | None = None,
     mass_per_area: float | None = None,
     stretch_stiffness: float | None = None,
     bending_rigidity: float | None = None,
@@ -121,6 +124,7 @@ def svg(
         spacing: of the balls [m]; a twelfth of the height by default.
         depth: of jelly and colliders in 3D along z [m]; a quarter of the height by default.
         density: of jelly [kg/m^3, in 2D kg/m^2]; young_modulus: of jelly [Pa, in 2D N/m]; poisson_ratio: of jelly [1].
+        plane: of jelly in 2D, "stress" or "strain", see `jelly`.
         mass_per_area: of cloth [kg/m^2]; stretch_stiffness: of cloth [N/m]; bending_rigidity: of cloth [N m].
         radius: of each ball [m]; 0.45 of the spacing by default, 0.25 with surface_collision.
         colour: sRGB in 0..1 [1]; the drawing's own otherwise.
@@ -136,7 +140,7 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
     validation.one_of(f"{shape}.kind", kind, KINDS)
     if kind == "cloth" and dim == 2:
         raise SceneError(f"{shape}.kind", kind, says='needs a scene with dim = 3; in 2D take "jelly" or "collider"')
-    for name in {*ELASTIC, *WOVEN, *MOVES} - TAKES[kind]:
+    for name in {*ELASTIC, "plane", *WOVEN, *MOVES} - TAKES[kind]:
         if given[name] is not None and given[name] is not False:
             raise SceneError(f"{shape}.{name}", says=f'is not for kind = "{kind}"')
     if given["depth"] is not None and (dim == 2 or kind == "cloth"):
@@ -216,7 +220,7 @@ def _jelly(
         body = jelly_material.simplices(body.points * factor, body.cells)
     density, young, ratio = with_preset(scene, given["material"], {name: given[name] for name in ELASTIC}).values()
     mass = float(body.volume.sum()) * or_default(f"{shape}.density", density, JELLY_DENSITY[scene.dim])
-    elastic: dict[str, Any] = {"young_modulus": young, "poisson_ratio": ratio}
+    elastic: dict[str, Any] = {"young_modulus": young, "poisson_ratio": ratio, "plane": given["plane"]}
     more = {name: given[name] for name in ("damping", "radius", "velocity", "self_collision", "surface_collision")}
     still = {"position": placed["position"], "rotation": placed["rotation"]}
     ball = _radius(given, spacing)

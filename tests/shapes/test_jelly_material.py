@@ -14,6 +14,7 @@ from taichi_sim.geometry.mesh import Surface, flaws, holes, volume
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.scene.bricks import corner_volumes
 from taichi_sim.scene.cells import cell_volumes
+from taichi_sim.scene.neo_hookean import lame
 from taichi_sim.shapes.jelly_material import box_surface, connected, inside, simplices, skin_of_tetrahedra
 
 pytestmark = pytest.mark.once
@@ -227,6 +228,21 @@ def test_flaws_of_a_mesh():
     assert flaws(Surface(ball.vertices, t[1:]), closed=False) == []
     assert flaws(Surface(ball.vertices, np.concatenate([t[:1, ::-1], t[1:]])), closed=False) == []
     assert flaws(Surface(ball.vertices, np.concatenate([t, t[4:5]])), closed=False) == double
+
+
+def test_a_long_body_in_plane_strain():
+    """Its stress along a strain is that of the solid, whose other strain along the plane and that across it are 0."""
+    scene = Scene(dim=2)
+    shapes.jelly(scene, (1, 1), (3, 3), young_modulus=1000.0, poisson_ratio=0.3, plane="strain")
+    e = np.array([[2e-6, 1e-6], [1e-6, -3e-6]])
+    stored = diagnostics.energy(scene, scene.position @ (np.eye(2) + e), 0 * scene.position).spring
+    mu, lam = lame(3, 1000.0, 0.3)
+    assert stored == pytest.approx(mu * np.sum(e * e) + 0.5 * lam * np.trace(e) ** 2, rel=1e-4)
+    shapes.jelly(scene, (1, 1), (2, 2), young_modulus=1000.0, poisson_ratio=0.4999, plane="strain")
+    with pytest.raises(SceneError, match=r"jelly\.plane: 'air' .*'stress', 'strain'"):
+        shapes.jelly(scene, (1, 1), (2, 2), plane="air")
+    with pytest.raises(SceneError, match=r"jelly\.plane: needs a scene with dim = 2"):
+        shapes.jelly(Scene(dim=3), (1, 1, 1), (2, 2, 2), plane="strain")
 
 
 REFUSED = [

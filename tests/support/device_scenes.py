@@ -7,6 +7,7 @@ The file holds, under NAME.what, positions, velocities, energies and what the co
 small steps come to.
 """
 
+import itertools
 import os
 import sys
 import warnings
@@ -134,6 +135,18 @@ def jelly():
     return scene, settings | {"contacts": "jacobi"}
 
 
+def solids():
+    """Tetrahedra that hang by a side."""
+    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
+    number = (5, 3, 3)
+    points, boxes = (np.argwhere(np.ones(np.array(number) - less)) for less in (0, 1))
+    ways = [np.cumsum(np.eye(4, 3, -1, dtype=int)[:, list(axes)], axis=0) for axes in itertools.permutations(range(3))]
+    corners = [np.ravel_multi_index(np.moveaxis(boxes[:, None] + way, 2, 0), number) for way in ways]
+    scene.add_balls(0.1 * points, radius=0.02, mass=0.5, pinned=points[:, 0] == 0)
+    scene.add_solids(np.concatenate(corners), young_modulus=2e4, poisson_ratio=0.45, viscosity=5.0)
+    return scene, {"contacts": "off", "dt": 1e-3}
+
+
 def balloon():
     scene, settings = bits.balloon_xpbd()
     return scene, settings | {"integrator": "verlet", "contacts": "jacobi"}
@@ -153,7 +166,7 @@ SCENES = (
     pile_2d, pile_3d, pile_ordered, colours_2d, colours_3d, colours_of_sizes, colours_and_sticks,
     crowd_plain_sum, sizes_differ, mesh_collider, sticks_and_colliders, surfaces, tearing_in_wind,
     network("explicit_euler", 1e-4), network("symplectic_euler"), network("verlet"), network("rk4"), network("implicit_euler"),
-    network("tr_bdf2"), network("xpbd", accumulate="atomic"), jelly, balloon, many_springs, with_a_tolerance,
+    network("tr_bdf2"), network("xpbd", accumulate="atomic"), jelly, solids, balloon, many_springs, with_a_tolerance,
 )  # fmt: skip
 BY_NAME = {build.__name__: build for build in SCENES}
 
