@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.methods import Method
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
@@ -97,10 +99,22 @@ class Integrator:
     def _recipe(self) -> list[Part]:
         """The parts, or, where a class derived from theirs has a substep of its own, that as a whole."""
         given = next(kind for kind in type(self).__mro__ if {"parts", "substep", "prime"} & vars(kind).keys())
-        self.own_parts = tuple(self.parts())
         if given is not Integrator and "parts" in vars(given):
+            self.own_parts = tuple(self._checked(self.parts()))
             return list(self.own_parts)
+        self.own_parts = tuple(self.parts())
         return [Part(self, "_whole", STEP), Part(self, "_whole_prime", PRIME)]
+
+    def _checked(self, parts: Any) -> list[Part]:
+        """The parts that `parts()` gave. Raises SceneError, which names the one that is none."""
+        where = f"integrator {type(self).__name__}.parts()"
+        if not isinstance(parts, (list, tuple)) or not parts:
+            raise SceneError(where, parts, "a list of Part, of at least one")
+        for k, part in enumerate(parts):
+            if not isinstance(part, Part):
+                raise SceneError(f"{where}[{k}]", part, "a Part(owner, name, roles)")
+            validation.taichi_function(f"{where}[{k}]", part.owner, part.name, "role, h, time")
+        return list(parts)
 
     def moving(self) -> list[Part]:
         """The parts that kick balls, solve their contacts, move them, and find the contacts where they are then."""

@@ -20,7 +20,7 @@ from taichi_sim.render.camera import Camera
 from taichi_sim.render.renderer import evenly
 from taichi_sim.render.tracker import Tracker
 
-MODULES = ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "Vt")  # those of USD that are used
+MODULES = ("pxr", *(f"pxr.{name}" for name in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "Vt")))  # that are used
 
 
 class Usd(Deferred):
@@ -41,7 +41,7 @@ class Usd(Deferred):
     def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
         # here, where no other thread loads a library: while these load they wait for the thread that runs Python
         for name in MODULES:
-            needed(f"pxr.{name}", "usd", Path(path))
+            needed(name, "usd", Path(path))
         super().__init__(path, fps, resume)
         self._aspect = 16 / 9
         self._tracker: Tracker | None = None

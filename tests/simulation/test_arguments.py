@@ -8,6 +8,8 @@ from physics_support import F64, PRECISION, simulate
 import taichi_sim as ts
 from taichi_sim.device import backend
 from taichi_sim.device.engine import CompilationError
+from taichi_sim.device.parts import STEP, Part
+from taichi_sim.integrators.verlet import Verlet
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -210,3 +212,42 @@ def test_a_mistake_in_ones_own_force_is_shown_with_its_line():
     assert 'test_arguments.py", line' in text
     assert "in accumulate" in text
     assert "impulse[0] += nonsense" in text
+
+
+@ti.data_oriented
+class _Mine(ts.Integrator):
+    """A method of somebody's own that is made of parts."""
+
+    method = Verlet.method
+    given: object = None
+
+    def parts(self):
+        return self.given(self) if callable(self.given) else self.given
+
+    @ti.func
+    def kick(self, h):
+        pass
+
+    def move(self, role, h, time):
+        pass
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        (None, r"parts\(\): None is not allowed; it must be a list of Part, of at least one"),
+        ([], r"parts\(\): \[\] is not allowed; it must be a list of Part"),
+        (["kick"], r"parts\(\)\[0\]: 'kick' is not allowed; it must be a Part\(owner, name, roles\)"),
+        (lambda one: [Part(one, "kik", STEP)], r"parts\(\)\[0\]: _Mine has no function kik\(role, h, time\)"),
+        (lambda one: [Part(one, "kick", STEP)], r"_Mine.kick takes \(h\); it must take \(role, h, time\)"),
+        (lambda one: [Part(one, "move", STEP)], r"_Mine.move is not a Taichi function; write @ti.func above it"),
+    ],
+)
+def test_parts_of_a_method_are_judged_before_they_are_compiled(given, why):
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 1.0]], radius=0.1)
+    mine = _Mine()
+    mine.given = given
+    with pytest.raises(ts.SceneError, match=rf"^integrator _Mine\.{why}" if "parts" in why else why):
+        ts.Simulation(scene, integrator=mine, dt=1e-3)
