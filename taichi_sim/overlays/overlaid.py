@@ -237,7 +237,7 @@ class Overlaid:
         return float(camera.scale)
 
     def _on_picture(self, point: NDArray[np.float64]) -> tuple[float, float] | None:
-        """Where a point [m] is in the picture, in pixels from its upper left corner; None behind the camera."""
+        """Place of a point [m] in the picture, in pixels from its upper left corner; None behind the camera."""
         camera, (width, height) = self.renderer.camera, self.renderer.size
         if isinstance(camera, Camera):
             right, up, depth = camera.axes() @ (point - camera.eye)

@@ -120,7 +120,7 @@ def ticks(low: float, high: float, parts: float) -> tuple[list[float], int]:
 
 
 def decimals(step: float) -> int:
-    """How many decimals show multiples of a step of 1, 2 or 5 times a power of ten."""
+    """Number of decimals that show multiples of a step of 1, 2 or 5 times a power of ten."""
     return min(12, max(0, -math.floor(math.log10(step) + 1e-6)))
 
 

@@ -16,7 +16,7 @@ CROWDED = 1e5  # from here on numbers are written with an exponent
 
 
 def label_of(one: ShownProbe) -> str:
-    """What a picture calls a probe."""
+    """Name of a probe in a picture."""
     return one.of if one.label is None else one.label
 
 
