@@ -11,18 +11,18 @@ from taichi_sim.render.palette import body_colours
 
 __all__ = ["legend"]
 
-MOST = 12  # names
+MOST, MOST_LETTERS = 12, 60  # names, and letters of each
 UNITS = {"speed": "m/s", "strain": ""}
 
 
-def legend(frame: Frame, style: Mapping[str, Any], text: float, tints: Tints) -> Panel | None:
+def legend(frame: Frame, style: Mapping[str, Any], text: float, tints: Tints, most: float) -> Panel | None:
     """The names of shapes and colliders with their colours in the first frame, or the scale of the style's `colour`; None where
-    nothing has a name."""
+    nothing has a name. text: height of the letters, most: width of the panel [pixels]."""
     colouring = Colouring.of(frame, style.get("colour") or "object", style.get("colour_range"))
-    return _names(frame, text, tints) if colouring is None else _scale(colouring, text, tints)
+    return _names(frame, text, tints, most) if colouring is None else _scale(colouring, text, tints)
 
 
-def _names(frame: Frame, text: float, tints: Tints) -> Panel | None:
+def _names(frame: Frame, text: float, tints: Tints, most: float) -> Panel | None:
     colours = body_colours(frame) if len(frame.position) else frame.position
     named = [(one.name, colours[one.balls[0]]) for one in frame.objects if len(one.balls)]
     solid = [placed.collider for placed in frame.colliders]
@@ -30,7 +30,8 @@ def _names(frame: Frame, text: float, tints: Tints) -> Panel | None:
     if not named:
         return None
     rows = named[:MOST] + ([(f"and {len(named) - MOST} more", None)] if len(named) > MOST else [])
-    width = max(Panel.length(name, text) for name, _ in rows) + 2.6 * text
+    rows = [(name[:MOST_LETTERS], colour) for name, colour in rows]
+    width = min(max(Panel.length(name, text) for name, _ in rows) + 2.6 * text, most)
     panel = Panel((width, (1.35 * len(rows) + 0.5) * text), text, tints.ground)
     for k, (name, colour) in enumerate(rows):
         y = (1.35 * k + 0.925) * text

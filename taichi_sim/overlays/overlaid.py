@@ -25,6 +25,7 @@ __all__ = ["Overlaid", "open_renderer"]
 
 ORDER = (0, 3, 1, 2, 5, 6, 7)  # of the palette, for curves
 DARK_STAGES, DARK_BACKGROUND = ("studio", "blueprint"), 0.4
+MOST_TEXT = 0.25  # of the height of the picture
 BAR = 0.2  # of the width of the picture: a scale bar is at most so long
 
 
@@ -48,10 +49,10 @@ class Overlaid:
     ) -> None:
         self.renderer, self.overlay = renderer, overlay
         height = renderer.size[1]
-        self._text = overlay.text_size or max(9.0, height / 30)
+        self._text = min(overlay.text_size or max(9.0, height / 30), MOST_TEXT * height)
         self._tints = DARK if _is_dark(style) else LIGHT
         self._units = units
-        self._legend = legend(first, style, self._text, self._tints) if overlay.legend else None
+        self._legend = legend(first, style, self._text, self._tints, renderer.size[0]) if overlay.legend else None
         colours = [PALETTE[ORDER[k % len(ORDER)]] for k in range(len(overlay.curves))]
         self._colours = [
             to_bytes(own if one.colour is None else one.colour) for one, own in zip(overlay.curves, colours)
@@ -149,6 +150,7 @@ class Overlaid:
         values = np.array(self._values)[:, shown]
         times, reach = self._reach or (self._until_now(), padded(self._with_expected(values)))
         reach = self.overlay.plot_range or reach
+        times = times if times[1] > times[0] else (times[0], times[0] + 1.0)  # of a lone moment
         if self._plot is None or self._plot[0] != (times, reach):
             margin = 1.2 * self._text
             sides = zip(self.renderer.size, self.overlay.plot_size)
@@ -181,7 +183,7 @@ class Overlaid:
         if not rows:
             return None
         text = self._text
-        width = max(Panel.length(row, text) for row in rows) + 1.4 * text
+        width = min(max(Panel.length(row, text) for row in rows) + 1.4 * text, self.renderer.size[0])
         panel = Panel((width, (1.35 * len(rows) + 0.5) * text), text, self._tints.ground)
         for k, row in enumerate(rows):
             panel.text((0.7 * text, (1.35 * k + 0.925) * text), row, self._tints.text, "lm")
@@ -209,7 +211,7 @@ class Overlaid:
         if place is None or not all(-1e4 < one < 1e4 for one in place):
             return
         text = self._text
-        r, width = 0.6 * text, Panel.length(mark.label, text)
+        r, width = 0.6 * text, min(Panel.length(mark.label, text), self.renderer.size[0])
         panel = Panel((4 * r + width, 4 * r), text)
         for colour, thick in ((self._tints.ground, text / 4), (self._tints.mark, text / 9)):  # with a rim
             panel.disc((2 * r, 2 * r), r + thick / 2, None, colour, thick)

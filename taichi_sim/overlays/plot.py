@@ -16,7 +16,7 @@ CROWDED = 1e5  # from here on numbers are written with an exponent
 
 
 def label_of(one: ShownProbe) -> str:
-    """The name of a probe in a picture."""
+    """Name of a probe in a picture."""
     return one.of if one.label is None else one.label
 
 

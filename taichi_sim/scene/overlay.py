@@ -17,6 +17,7 @@ __all__ = ["ExpectedPlace", "Overlay", "ShownProbe"]
 
 Place = Literal["top left", "top right", "bottom left", "bottom right"]
 LEAST_SHARE = 0.1  # of the picture, of a plot
+MOST_LETTERS, MOST_LISTED, MOST_ROWS = 200, 20, 100_000  # of a text, of tables, and of what is expected
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +100,8 @@ class Overlay:
             values[key] = _value(key, value)
         for key, kind in (("probes", partial(_probe, names=probes)), ("marks", partial(_mark, dim=dim))):
             listed = values.get(key, ())
-            if not isinstance(listed, (list, tuple)):
-                raise SceneError(f"overlay.{key}", listed, "a list of tables")
+            if not isinstance(listed, (list, tuple)) or len(listed) > MOST_LISTED:
+                raise SceneError(f"overlay.{key}", listed, f"a list of at most {MOST_LISTED} tables")
             values[key] = tuple(kind(f"overlay.{key}[{k}]", one) for k, one in enumerate(listed))
         return cls(**values)
 
@@ -149,8 +150,8 @@ def _flag(where: str, value: Any) -> bool:
 
 
 def _text(where: str, value: Any) -> str:
-    if not isinstance(value, str):
-        raise SceneError(where, value, "a text")
+    if not isinstance(value, str) or not value.isprintable() or len(value) > MOST_LETTERS:
+        raise SceneError(where, value, f"a text of one line and at most {MOST_LETTERS} letters")
     return value
 
 
@@ -189,5 +190,5 @@ def _mark(where: str, given: Any, dim: int) -> ExpectedPlace:
 
 
 def _ascending(where: str, times: NDArray[np.float64]) -> None:
-    if not len(times) or np.any(np.diff(times) < 0):
-        raise SceneError(where, says="needs at least one time, and times in ascending order")
+    if not 0 < len(times) <= MOST_ROWS or np.any(np.diff(times) < 0):
+        raise SceneError(where, says=f"needs 1 to {MOST_ROWS} times in ascending order")

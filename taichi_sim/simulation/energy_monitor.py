@@ -8,6 +8,9 @@ exchange up to 6 times the energy of undamped networks that recover. So what mov
 against what it would be had E stayed at the least that it was: W - gain, gain = E - least. A run is unhealthy when
 W > limit (W - gain), the limit 8, or one and a half of the method's own swing where that is more.
 
+An error of the step is no growth: where a swing turns around it hardly moves, and what it is off by is more than that. So
+gain counts from a hundredth of the largest W so far on; what grows without end passes that soon.
+
 Not energy that appeared: what rounding makes of the sums, and, where there are contacts, what overlap holds, which no sum
 counts: what is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter.
 
@@ -28,6 +31,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
+LEAST_GROWTH = 0.01  # of the largest kinetic plus elastic energy so far
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
 WORK_GROWTH = 100.0  # times what a driven scene had before: the bound is asked then
@@ -80,8 +84,8 @@ class EnergyMonitor:
             self.least, self.most, self.last = min(self.least, sample.total), max(self.most, sample.motion), sample
         return growth
 
-    def growth(self, sample: Any) -> Growth | None:
-        """The growth that a sample shows, or None."""
+    def growth(self, sample: Any, most: float = 0.0) -> Growth | None:
+        """The growth that a sample shows, or None. most: kinetic plus elastic energy [J] that others have shown since then."""
         if not self.closed:
             known = self.most > self._rounding(
                 self.last
@@ -89,7 +93,7 @@ class EnergyMonitor:
             grown = known and WORK_GROWTH * self.most < sample.motion
             return Growth(self.most, sample.motion, False) if grown else None
         gain = sample.total - self.least - self.slack - self._rounding(sample)
-        if gain > 0.0 and sample.motion > self.limit * (sample.motion - gain):
+        if gain > LEAST_GROWTH * max(self.most, most) and sample.motion > self.limit * (sample.motion - gain):
             return Growth(self.least, sample.total, True)
         return None
 

@@ -235,7 +235,7 @@ class Stepper:
         if sample.bad is not None:
             sample = self._find_again(target)
         whole = target == self.end
-        growth = self.monitor.judge(sample) if whole else self.monitor.growth(sample)
+        growth = self.monitor.judge(sample) if whole else self.monitor.growth(sample, self.largest_motion)
         if growth is None:
             self.largest_motion = max(self.largest_motion, sample.motion)
         elif not self.may_shorten:

@@ -150,6 +150,20 @@ def test_axes_that_do_not_know_the_end_and_readings_that_are_none(colour):
     assert len({image.tobytes() for image in images}) == 5
 
 
+@pytest.mark.parametrize("text_size", [4.0, 400.0])
+@pytest.mark.parametrize("size", [(16, 16), (300, 30)])
+def test_pictures_that_are_too_small_and_numbers_that_are_too_large_do_no_harm(size, text_size):
+    frame = run_of_readings(2)[0]
+    overlay = {**STYLE["overlay"], "text_size": text_size, "plot_size": (0.1, 0.1), "title": "long " * 40}
+    overlay["marks"] = [{"position": (1e50, 0.0)}, {"position": (0.0, 0.0), "label": "here"}]
+    overlay["probes"] = [{"of": "ball.y", "expected": [[0.0, -1e50]]}, {"of": "none", "curve": False}]
+    for value in (1e50, -1e300, float("inf"), float("nan"), 0.0):
+        frame.probes = {"ball.y": value}
+        with open_renderer(frame, size, {"overlay": overlay}) as renderer:
+            renderer.fit([frame])
+            assert renderer.render(frame).shape == (*size[::-1], 3)
+
+
 def test_round_numbers():
     assert [nice_step(span, 5) for span in (1.0, 7.0, 11.0, 26.0, 0.003)] == [0.2, 2.0, 5.0, 10.0, 0.001]
     assert ticks(-0.3, 1.04, 4) == ([0.0, 0.5, 1.0], 1)
@@ -161,11 +175,14 @@ def test_round_numbers():
     [
         ({"clok": True}, "overlay.clok: is not a key of overlay; did you mean 'clock'?"),
         ({"clock": 1}, "overlay.clock: 1 is not allowed; it must be true or false"),
-        ({"title": 3}, "overlay.title: 3 is not allowed; it must be a text"),
+        ({"title": 3}, "overlay.title: 3 is not allowed; it must be a text of one line"),
         ({"plot": "middle"}, "overlay.plot: 'middle' is not allowed; it must be one of 'top left'"),
         ({"plot_size": (0.5, 1.5)}, "overlay.plot_size[1]: 1.5 is not allowed; it must be from 0.1 to 1"),
         ({"plot_range": (2, 1)}, "overlay.plot_range: (2, 1) is not allowed; it must be two numbers, the lower first"),
-        ({"probes": {"of": "a.x"}}, "overlay.probes: {'of': 'a.x'} is not allowed; it must be a list of tables"),
+        (
+            {"probes": {"of": "a.x"}},
+            "overlay.probes: {'of': 'a.x'} is not allowed; it must be a list of at most 20 tables",
+        ),
         ({"probes": [{"label": "a"}]}, "overlay.probes[0]: {'label': 'a'} is not allowed; it must be a table of of,"),
         (
             {"probes": [{"of": "b.x"}]},
@@ -175,9 +192,14 @@ def test_round_numbers():
             {"probes": [{"of": "a"}]},
             "overlay.probes[0].of: 'a' is no number of a probe of this scene; there are a.x, a.y",
         ),
-        ({"probes": [{"of": "load", "expected": [[1, 0], [0, 0]]}]}, "overlay.probes[0].expected: needs at least one"),
+        (
+            {"probes": [{"of": "load", "expected": [[1, 0], [0, 0]]}]},
+            "overlay.probes[0].expected: needs 1 to 100000 times",
+        ),
         ({"marks": [{"position": [0, 0, 0]}]}, "overlay.marks[0].position: shape (3,) does not fit; it must be (2,)"),
-        ({"marks": [{"position": [0, 0], "times": [1, 0]}]}, "overlay.marks[0].times: needs at least one time"),
+        ({"marks": [{"position": [0, 0], "times": [1, 0]}]}, "overlay.marks[0].times: needs 1 to 100000 times"),
+        ({"title": "a\nb"}, r"overlay.title: 'a\nb' is not allowed; it must be a text of one line and at most 200"),
+        ({"marks": [{"position": [0, 0]}] * 21}, "overlay.marks: [{'position': [0, 0]}"),
         ("clock", "overlay: 'clock' is not allowed; it must be a table of title, clock,"),
     ],
 )

@@ -197,6 +197,16 @@ def test_the_rule():
     assert crowd.judge(look(0.9 * crowd.slack)) is None
 
 
+@pytest.mark.once
+def test_a_swing_that_turns_around_at_rest_may_be_off_by_a_part_of_its_largest_energy():
+    """At its highest point a pendulum hardly moves, and what a method is off by there is more than all of its motion."""
+    watch = EnergyMonitor(net(), VERLET, 0.5, closed=True, contacts=False, precision="f64")
+    watch.begin(look(1e-6, 0.0, 6.0))
+    for high in (0.0, 1.0, 3.0, 5.97, 6.0, 6.02):
+        assert watch.judge(look(max(6.02 - high, 1e-4), 0.0, high)) is None
+    assert watch.judge(look(0.05, 0.0, 6.02)) == pytest.approx((6.000001, 6.07, True))
+
+
 def test_solver_of_implicit_methods_is_public():
     scene = net()
     with simulate(scene, integrator="tr_bdf2", dt=0.01, contacts="off") as sim:
