@@ -14,7 +14,7 @@ none of whose contacts may have changed: those with a `disturbed` before the pre
 
 import math
 
-from taichi_sim.kernels.contacts import contact_law, wall_impacts
+from taichi_sim.kernels.contacts import contact_law, struck_pairs, wall_impacts
 from taichi_sim.kernels.contacts.kinds import BALL_ARRIVING
 from taichi_sim.kernels.contacts.pairs import law_of
 from taichi_sim.kernels.contacts.warm_start import keep_at_most
@@ -233,7 +233,7 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
             r = ball[j].x - ball[i].x - since * u
             n, d = unit(r, i, j)
             forced = approach_from_forces(solver, i, j, n)
-            at_touch = (1.0 + 2.0 * since * solver.rate[0]) * forced
+            at_touch = since_touch(solver, forced, since)
             p = impulse(solver, i, j, n, d / reach, u, at_touch, time)
             shift_i, shift_j = (since * w) * p, (-since * other) * p
             fits = u.dot(n) + 0.5 * at_touch < 0.5 * ti.min(0.0, u.dot(n) + forced)
@@ -245,6 +245,7 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
                     t = d / reach * cross(n, p)
                 note_impact(solver, i, since)
                 note_impact(solver, j, since)
+                struck_pairs.note(solver, i, j, n, law_of(solver.pairs, i, j).restitution, since)
                 solver.apply(i, p, t)
                 solver.apply(j, -p, t)
                 if since > 0.0:
@@ -252,6 +253,16 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
                     solver.state.shift(j, shift_j)
                     measure_again(solver, ball, i, j, c)
             since = 0.0
+
+
+@ti.func
+def since_touch(solver: ti.template(), forced, since):
+    """Approach speed of which half is what forces gave a pair from its touch, `since` seconds ago, to the time to which its
+    velocities belong. `forced`: of a step, see approach_from_forces."""
+    ago = 2.0 * since * solver.rate[0]
+    if ti.static(solver.plan.throws_back):  # these of the middle of the step that brought it here
+        ago = -ago
+    return (1.0 + ago) * forced
 
 
 @ti.func

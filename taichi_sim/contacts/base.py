@@ -7,7 +7,7 @@ from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
 from taichi_sim.device.parts import STEP, Part
-from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps, struck_pairs
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactRule"]
@@ -226,6 +226,11 @@ class ContactRule(FoundContacts):
         if ti.static(self.plan.reflects):
             result = impact.thrown_back(self.walls, i, kick)
         return result
+
+    @ti.func
+    def throw_back(self, h, forces: ti.template()):
+        """Add what the second half of the step's kick by `forces` has more for pairs that bounced in this step."""
+        struck_pairs.throw_back(self, h, forces)
 
     @ti.func
     def record_second_half(self, h, forces: ti.template()):

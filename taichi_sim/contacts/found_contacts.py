@@ -166,7 +166,7 @@ class FoundContacts:
         """Clear what the rule itself keeps of ball i, before pairs are measured."""
 
     @ti.func
-    def found(self, ball: ti.template()):
+    def found(self, ball: ti.template(), role: ti.template()):
         """All contacts are measured at the present positions."""
 
     @ti.func
@@ -274,7 +274,7 @@ class FoundContacts:
             if ti.static(self.plan.walls):
                 for i in range(self.n):
                     self._measure_walls(ball, i)
-        self.found(ball)
+        self.found(ball, role)
         if ti.static(self.shares_mass and not self.plan.gathers):
             for i in range(self.n):
                 self._share_mass(ball, i)

@@ -38,6 +38,7 @@ class ContactPlan:
     reflects: (
         bool  # what forces did before an impact on a wall is thrown back with the ball, see kernels.contacts.impact
     )
+    throws_back: bool  # so it is with pairs that bounced, see kernels.contacts.struck_pairs
     iterations: int  # of the solve before the move
     gathers: bool  # both balls of a pair list it, and each sums what it gets: no order of pairs, and no atomics
     by_colours: bool  # both list it, and pairs are solved in turn by colours, see kernels.contacts.pair_colours
@@ -142,6 +143,11 @@ def plan_contacts(
         "reflects",
         walls and restitution and pulls and reflects,
         "walls, restitution, forces that change within a step, and a method that asks for them at its end",
+    )
+    decide(
+        "throws_back",
+        bounces and pulls and reflects,
+        "bounces, forces that change within a step, and a method that asks for them at its end",
     )
     decide(
         "foresees",
