@@ -260,7 +260,7 @@ def since_touch(solver: ti.template(), forced, since):
     """Approach speed of which half is what forces gave a pair from its touch, `since` seconds ago, to the time to which its
     velocities belong. `forced`: of a step, see approach_from_forces."""
     ago = 2.0 * since * solver.rate[0]
-    if ti.static(solver.plan.throws_back):  # these of the middle of the step that brought it here
+    if ti.static(solver.plan.at_search):  # these of the middle of the step that brought it here
         ago = -ago
     return (1.0 + ago) * forced
 

@@ -54,7 +54,7 @@ class GaussSeidel(IteratedRule):
     def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
         """Impacts one by one."""
         pair_impacts.note_velocity_from_forces(self, ball)
-        if ti.static(self.plan.bounces and not self.plan.throws_back and impacts):
+        if ti.static(self.plan.bounces and not self.plan.at_search and impacts):
             pair_impacts.all_rounds(self, ball, time)
 
     @ti.func
@@ -108,7 +108,7 @@ class GaussSeidel(IteratedRule):
         velocities from which on forces count as load."""
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
-        if ti.static(self.plan.throws_back):
+        if ti.static(self.plan.at_search):
             struck_pairs.look_back(self, role)
             pair_impacts.all_rounds(self, ball, self.friction_part / self.rate[0])
         if ti.static(self.plan.loaded):
