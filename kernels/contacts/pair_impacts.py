@@ -29,6 +29,7 @@ UNDISTURBED = -1  # as `disturbed`
 NO_CONTACT = -1  # the end of a chain
 SPENT_SPEED = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
 RESTING_SPEED = 0.01  # of the threshold: what moves less rests
+STRAIGHT = 0.01  # of the radius, by which a way may differ from that of an even motion
 FAST_APPROACH = 0.5  # of the threshold: what closes faster may be fast once forces have acted
 
 
@@ -147,8 +148,8 @@ def bounces_on(solver: ti.template(), i, j, restitution):
 
 @ti.func
 def time_since_touch(solver: ti.template(), ball: ti.template(), i, j, u):
-    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity; at most a step, and
-    no longer ago than the last impact of either."""
+    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity, or have passed each
+    other; at most a step, and no longer ago than the last impact of either."""
     r = ball[j].x - ball[i].x
     reach, d = solver.model.radius[i] + solver.model.radius[j], r.norm()
     within = (reach - d) * (reach + d)
@@ -158,6 +159,29 @@ def time_since_touch(solver: ti.template(), ball: ti.template(), i, j, u):
         time = within / (closing + ti.sqrt(closing * closing + within * u.dot(u)))
         time = ti.min(time, ti.min(solver.since_impact[i], solver.since_impact[j]))
     return time
+
+
+@ti.func
+def time_since_passing(solver: ti.template(), ball: ti.template(), i, j, r, reach):
+    """Time [s] since balls i and j, r apart, which part, came to touch within the step that brought them here; 0 if they did not,
+    or one of them stopped or bounced on its way, where it looked for others by itself (ccd_balls)."""
+    u = ball[j].v - ball[i].v
+    parting, time = r.dot(u), 0.0 * reach
+    if parting > 0.0:
+        square = u.dot(u)
+        root = parting * parting + (reach * reach - r.dot(r)) * square
+        if root > 0.0:
+            since = (parting + ti.sqrt(root)) / square
+            if since * solver.rate[0] < 1.0 and came_straight(solver, ball, i) and came_straight(solver, ball, j):
+                time = since
+    return time
+
+
+@ti.func
+def came_straight(solver: ti.template(), ball: ti.template(), i):
+    """True if ball i has moved evenly with its present velocity in this step."""
+    off = solver.displacement[i] - ball[i].v / solver.rate[0]
+    return off.dot(off) < (STRAIGHT * solver.model.radius[i]) ** 2
 
 
 @ti.func
@@ -171,7 +195,7 @@ def note_impact(solver: ti.template(), i, since):
 def may_shift(solver: ti.template(), ball: ti.template(), i, c, shift):
     """True if nothing is in the way of ball i, which has an impact by contact c, where it comes by `shift` [m]: no wall, nor any
     third ball that it overlaps already, in which it would come deeper."""
-    free = shift.dot(shift) <= solver.model.radius[i] ** 2
+    free = True
     if ti.static(solver.plan.walls_in_turn):
         free = free and wall_impacts.may_shift(solver.walls, ball, i, shift, solver.impacts[i])
     if solver.model.inverse_mass[i] > 0.0:
@@ -197,9 +221,15 @@ def impacts_of_ball(solver: ti.template(), ball: ti.template(), i, now, time):
     bounced = 0
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
-        if solver.pairs.contact[c].depth > 0.0:
-            j = solver.pairs.link[c].other
+        j = solver.pairs.link[c].other
+        passed = solver.pairs.contact[c].passed
+        if passed > 0.0 and passed > ti.min(solver.since_impact[i], solver.since_impact[j]):
+            passed = 0.0
+            solver.pairs.contact[c].passed = 0.0
+        if solver.pairs.contact[c].depth > 0.0 or passed > 0.0:
             n = solver.pairs.contact[c].normal
+            if passed > 0.0:
+                n, _ = unit(ball[j].x - ball[i].x - passed * (ball[j].v - ball[i].v), i, j)
             closing = contact_law.closing_speed((ball[j].v - ball[i].v).dot(n), approach_from_forces(solver, i, j, n))
             if closing > solver.threshold[0]:
                 restitution = law_of(solver.pairs, i, j).restitution
@@ -226,7 +256,10 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
     reach = solver.model.radius[i] + solver.model.radius[j]
     w, other = solver.model.inverse_mass[i], solver.model.inverse_mass[j]
     u = ball[j].v - ball[i].v
-    since = time_since_touch(solver, ball, i, j, u)
+    since = solver.pairs.contact[c].passed
+    if since == 0.0:
+        since = time_since_touch(solver, ball, i, j, u)
+    solver.pairs.contact[c].passed = 0.0
     done = False
     for _ in range(2):  # at the moment of touch, or else, the second time, at once
         if not done:

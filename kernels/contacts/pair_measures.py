@@ -46,7 +46,10 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             # as far as either comes in a step, should the other be stopped, too: overlap would push back
             here, there = ball[i].v.dot(r), -ball[j].v.dot(r)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
-        if r.dot(r) < reach * reach:
+        passed = 0.0 * sum
+        if ti.static(solver.plan.bounces):
+            passed = pair_impacts.time_since_passing(solver, ball, i, j, r, sum)
+        if r.dot(r) < reach * reach or passed > 0.0:
             n, d = unit(r, i, j)
             at = e
             if ti.static(not solver.plan.by_colours):
@@ -54,7 +57,13 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             pairs.contact[at].normal = n
             pairs.contact[at].depth = sum - d
             if ti.static(solver.plan.impacts_in_turn):
-                if (ball[j].v - ball[i].v).dot(n) < -pair_impacts.FAST_APPROACH * solver.threshold[0]:
+                u = ball[j].v - ball[i].v
+                closing = -u.dot(n)
+                if ti.static(solver.plan.bounces):
+                    pairs.contact[at].passed = passed
+                    if passed > 0.0:
+                        closing = -u.dot(r - passed * u) / sum
+                if closing > pair_impacts.FAST_APPROACH * solver.threshold[0]:
                     fast = 1
                     solver.disturbed[i] = 0
                 pairs.contact[at].lister = i
