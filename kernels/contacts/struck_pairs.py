@@ -62,13 +62,38 @@ def throw_back(solver: ti.template(), h, forces: ti.template()):
     """Take what the second half of a kick by `forces` has less for pairs of which neither ball has bounced again since."""
     if ti.static(solver.plan.throws_back):
         for i in range(solver.n):
-            struck = solver.struck[i]
-            w = solver.model.inverse_mass[i]
-            if struck.other != NO_PARTNER and w > 0.0:
-                other = solver.model.inverse_mass[struck.other]
-                if other == 0.0 or solver.struck[struck.other].other == i:
-                    n = struck.normal
-                    now = (forces.change(struck.other, h) - forces.change(i, h)).dot(n)
-                    change = (0.5 * w / (w + other) * struck.gain * (now - struck.from_forces)) * n
-                    solver.state.kick(i, change)
-                    solver.velocity_when_found[i] = solver.velocity_when_found[i] + change
+            j = partner(solver, i)
+            if j != NO_PARTNER:
+                now = (forces.change(j, h) - forces.change(i, h)).dot(solver.struck[i].normal)
+                change = part_of(solver, i, j, 0.5 * (now - solver.struck[i].from_forces))
+                solver.state.kick(i, change)
+                solver.velocity_when_found[i] = solver.velocity_when_found[i] + change
+
+
+@ti.func
+def share(solver: ti.template(), i, part, kick: ti.template()):
+    """The same for a part of the kicks (n) [m/s] that forces give in the second half beside what was known of them."""
+    change = ti.Vector.zero(float, solver.model.dim)
+    if ti.static(solver.plan.throws_back):
+        j = partner(solver, i)
+        if j != NO_PARTNER:
+            change = part_of(solver, i, j, part * (kick[j] - kick[i]).dot(solver.struck[i].normal))
+    return change
+
+
+@ti.func
+def partner(solver: ti.template(), i):
+    """The ball that ball i, which is not pinned, bounced off last, if that has not bounced off another since, else NO_PARTNER."""
+    j = solver.struck[i].other
+    if j != NO_PARTNER:
+        again = solver.model.inverse_mass[j] > 0.0 and solver.struck[j].other != i
+        if again or solver.model.inverse_mass[i] == 0.0:
+            j = NO_PARTNER
+    return j
+
+
+@ti.func
+def part_of(solver: ti.template(), i, j, change):
+    """What ball i gets [m/s] of a change of its normal speed from ball j by forces since the touch."""
+    w = solver.model.inverse_mass[i]
+    return w / (w + solver.model.inverse_mass[j]) * solver.struck[i].gain * change * solver.struck[i].normal

@@ -233,13 +233,34 @@ class ContactRule(FoundContacts):
         struck_pairs.throw_back(self, h, forces)
 
     @ti.func
+    def pair_share(self, i, part, kick: ti.template()):
+        """What ball i gets [m/s] beside a part of the kicks (n) of the second half where it bounced off another in this step."""
+        return struck_pairs.share(self, i, part, kick)
+
+    @ti.func
+    def bounced(self, i):
+        """True if ball i has bounced in this step."""
+        found = False
+        if ti.static(self.plan.throws_back):
+            found = self.struck[i].other != struck_pairs.NO_PARTNER
+        if ti.static(self.plan.reflects):
+            found = found or self.walls.reflected[i].norm_sqr() > 0.0
+        return found
+
+    @ti.func
     def record_second_half(self, h, forces: ti.template()):
         """Record for probes what walls give beside the second half of the kick by `forces`."""
+        if ti.static(self.plan.reflects and self.walls.probed):
+            for i in range(self.n):
+                self.record_thrown_back(i, 0.5 * forces.change(i, h))
+
+    @ti.func
+    def record_thrown_back(self, i, kick):
+        """Record for probes what walls give ball i beside a kick [m/s] of the second half."""
         if ti.static(self.plan.reflects):
             if ti.static(self.walls.probed):
-                for i in range(self.n):
-                    if self.model.inverse_mass[i] > 0.0:
-                        impact.record_thrown_back(self.walls, i, 0.5 * forces.change(i, h))
+                if self.model.inverse_mass[i] > 0.0:
+                    impact.record_thrown_back(self.walls, i, kick)
 
     @ti.func
     def _correct_positions(self, ball: ti.template(), h):
