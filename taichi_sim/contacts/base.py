@@ -250,9 +250,10 @@ class ContactRule(FoundContacts):
     @ti.func
     def record_second_half(self, h, forces: ti.template()):
         """Record for probes what walls give beside the second half of the kick by `forces`."""
-        if ti.static(self.plan.reflects and self.walls.probed):
-            for i in range(self.n):
-                self.record_thrown_back(i, 0.5 * forces.change(i, h))
+        if ti.static(self.plan.reflects):
+            if ti.static(self.walls.probed):
+                for i in range(self.n):
+                    self.record_thrown_back(i, 0.5 * forces.change(i, h))
 
     @ti.func
     def record_thrown_back(self, i, kick):

@@ -50,6 +50,7 @@ class FoundContacts:
     `impacts_in_turn`, `energy_limiter`, `gathers`, `by_colours`: what of these in ContactPlan the rule can do.
     """
 
+    struck: Any  # where the plan throws back, see kernels.contacts.struck_pairs
     name = "off"
     in_turn = False
     split = False
