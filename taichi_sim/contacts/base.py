@@ -265,7 +265,8 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def _correct_positions(self, ball: ti.template(), h):
-        """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
+        """The displacements that undo overlap where contacts are rigid. They move nothing on; but balls that are solved in turn
+        turn more slowly about each other when they come further apart."""
         if ti.static(self.corrects_positions):
             of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
             in_one = ti.static(self.plan.gathers and not (of_pairs and self.plan.by_colours))

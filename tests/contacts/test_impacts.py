@@ -137,6 +137,20 @@ def test_pairs_part_as_they_touched(dim, restitution, friction):
         assert error(sim.angular_momentum(), turning, 25 * 25 * 12.0) < (1e-14 if F64 else 1e-6)
 
 
+@pytest.mark.slow_where(dim=3)
+@each_dim
+def test_pairs_that_do_not_bounce_keep_their_angular_momentum(dim):
+    """They overlap by half a radius when they are found; pushed apart again they turn as much more slowly."""
+    scene, *_ = glancing(dim, 4, 0.0, 0.35)
+    rng = np.random.default_rng(3)
+    spin = 5.0 * rng.normal(size=(scene.n_balls, 1 if dim == 2 else 3))
+    with simulate(scene, dt=2e-3, substeps=1) as sim:
+        sim.resume(ts.Snapshot(scene.position, scene.velocity, surface_speed=spin))
+        turning = sim.angular_momentum()
+        sim.step(25)
+        assert error(sim.angular_momentum(), turning, 1.0) < (1e-13 if F64 else 5e-5)
+
+
 def encounters(dim, n, step):
     """n pairs of balls of any masses that meet at up to three radii a step, seen from what moves as fast: the scene, both, what
     they do afterwards (2, n, dim), and the speeds at which they meet."""
