@@ -14,7 +14,7 @@ none of whose contacts may have changed: those with a `disturbed` before the pre
 
 import math
 
-from taichi_sim.kernels.contacts import contact_law, struck_pairs, wall_impacts
+from taichi_sim.kernels.contacts import contact_law, struck_pairs, touch_times, wall_impacts
 from taichi_sim.kernels.contacts.kinds import BALL_ARRIVING
 from taichi_sim.kernels.contacts.pairs import law_of
 from taichi_sim.kernels.contacts.warm_start import keep_at_most
@@ -29,7 +29,6 @@ UNDISTURBED = -1  # as `disturbed`
 NO_CONTACT = -1  # the end of a chain
 SPENT_SPEED = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
 RESTING_SPEED = 0.01  # of the threshold: what moves less rests
-STRAIGHT = 0.01  # of the radius, by which a way may differ from that of an even motion
 FAST_APPROACH = 0.5  # of the threshold: what closes faster may be fast once forces have acted
 
 
@@ -147,44 +146,6 @@ def bounces_on(solver: ti.template(), i, j, restitution):
 
 
 @ti.func
-def time_since_touch(solver: ti.template(), ball: ti.template(), i, j, u):
-    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity, or have passed each
-    other; at most a step, and no longer ago than the last impact of either."""
-    r = ball[j].x - ball[i].x
-    reach, d = solver.model.radius[i] + solver.model.radius[j], r.norm()
-    within = (reach - d) * (reach + d)
-    time = 0.0 * d
-    if within > 0.0:
-        closing = -r.dot(u)
-        time = within / (closing + ti.sqrt(closing * closing + within * u.dot(u)))
-        time = ti.min(time, ti.min(solver.since_impact[i], solver.since_impact[j]))
-    return time
-
-
-@ti.func
-def time_since_passing(solver: ti.template(), ball: ti.template(), i, j, r, reach):
-    """Time [s] since balls i and j, r apart, which part, came to touch within the step that brought them here; 0 if they did not,
-    or one of them stopped or bounced on its way, where it looked for others by itself (ccd_balls)."""
-    u = ball[j].v - ball[i].v
-    parting, time = r.dot(u), 0.0 * reach
-    if parting > 0.0:
-        square = u.dot(u)
-        root = parting * parting + (reach * reach - r.dot(r)) * square
-        if root > 0.0:
-            since = (parting + ti.sqrt(root)) / square
-            if since * solver.rate[0] < 1.0 and came_straight(solver, ball, i) and came_straight(solver, ball, j):
-                time = since
-    return time
-
-
-@ti.func
-def came_straight(solver: ti.template(), ball: ti.template(), i):
-    """True if ball i has moved evenly with its present velocity in this step."""
-    off = solver.displacement[i] - ball[i].v / solver.rate[0]
-    return off.dot(off) < (STRAIGHT * solver.model.radius[i]) ** 2
-
-
-@ti.func
 def note_impact(solver: ti.template(), i, since):
     """Note an impact of ball i, so many seconds ago."""
     solver.impacts[i] = solver.impacts[i] + 1
@@ -258,7 +219,7 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
     u = ball[j].v - ball[i].v
     since = solver.pairs.contact[c].passed
     if since == 0.0:
-        since = time_since_touch(solver, ball, i, j, u)
+        since = touch_times.since_touch(solver, ball, i, j, u)
     solver.pairs.contact[c].passed = 0.0
     done = False
     for _ in range(2):  # at the moment of touch, or else, the second time, at once
@@ -266,7 +227,7 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
             r = ball[j].x - ball[i].x - since * u
             n, d = unit(r, i, j)
             forced = approach_from_forces(solver, i, j, n)
-            at_touch = since_touch(solver, forced, since)
+            at_touch = touch_times.forced_since(solver, forced, since)
             p = impulse(solver, i, j, n, d / reach, u, at_touch, time)
             shift_i, shift_j = (since * w) * p, (-since * other) * p
             fits = u.dot(n) + 0.5 * at_touch < 0.5 * ti.min(0.0, u.dot(n) + forced)
@@ -286,16 +247,6 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
                     solver.state.shift(j, shift_j)
                     measure_again(solver, ball, i, j, c)
             since = 0.0
-
-
-@ti.func
-def since_touch(solver: ti.template(), forced, since):
-    """Approach speed of which half is what forces gave a pair from its touch, `since` seconds ago, to the time to which its
-    velocities belong. `forced`: of a step, see approach_from_forces."""
-    ago = 2.0 * since * solver.rate[0]
-    if ti.static(solver.plan.at_search):  # these of the middle of the step that brought it here
-        ago = -ago
-    return (1.0 + ago) * forced
 
 
 @ti.func

@@ -1,7 +1,7 @@
 """Measures of pairs at the present places, after a search: which pairs touch, their normals and depths, and the impulses they
 start with."""
 
-from taichi_sim.kernels.contacts import pair_colours, pair_impacts
+from taichi_sim.kernels.contacts import pair_colours, pair_impacts, touch_times
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
@@ -48,7 +48,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         passed = 0.0 * sum
         if ti.static(solver.plan.bounces):
-            passed = pair_impacts.time_since_passing(solver, ball, i, j, r, sum)
+            passed = touch_times.since_passing(solver, ball, i, j, r, sum)
         if r.dot(r) < reach * reach or passed > 0.0:
             n, d = unit(r, i, j)
             at = e

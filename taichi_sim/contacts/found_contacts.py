@@ -210,6 +210,9 @@ class FoundContacts:
             self.walls.colliders.rewind()
         if ti.static(self.plan.pairs):
             self.pairs.grid.expire()
+        if ti.static(self.plan.bounces):
+            for i in range(self.n):  # nothing is known of how balls came here
+                self.displacement[i] = ti.Vector.zero(float, self.model.dim)
         if ti.static(self.plan.triangles):
             ccd_triangles.expire(self.triangles)
 
