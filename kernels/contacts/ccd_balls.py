@@ -7,7 +7,7 @@ Times of impact are found in rounds, each against the paths that the one before 
 run through by a third.
 """
 
-from taichi_sim.kernels.contacts import bent_paths
+from taichi_sim.kernels.contacts import bent_paths, touch_times
 from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
@@ -33,6 +33,9 @@ def shorten_ways(solver: ti.template(), ball: ti.template()):
         if ti.static(solver.plan.sticks):
             solver.swept[0].sticks = solver.swept[0].moved_fast * solver.sticks.m
         solver.swept[0].moved_fast = 0
+        if ti.static(solver.plan.bounces):
+            solver.swept[0].passes = solver.swept[0].moved
+            solver.swept[0].moved = 0
         solver.swept[0].shortened = 0
     if ti.static(not fixed):
         for i in range(solver.swept[0].balls):
@@ -102,6 +105,9 @@ def note_displacement(solver: ti.template(), i, shift):
     fast = solver.model.radius[i] ** 2
     if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
         fast = ti.min(fast, solver.crossing_squared[0])
+    if ti.static(solver.plan.bounces):
+        if way > touch_times.PASSING * solver.model.radius[i]:
+            solver.swept[0].moved = 1
     if way * way > fast:
         solver.swept[0].moved_fast = 1
         ti.atomic_max(solver.longest_displacement[0], way)

@@ -35,6 +35,9 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             pair_colours.find_twins(pairs, i)
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
     begin, touching, held = pairs.first[i], 0, pairs.held[i]
+    passes = False
+    if ti.static(solver.plan.bounces):
+        passes = solver.swept[0].passes > 0
     total, angular = ti.Vector.zero(float, solver.model.dim), zero_scalar_in_2d(solver.model.dim)
     for t in range(pairs.number[i]):
         e = pair_entry(pairs, begin, t)
@@ -48,7 +51,8 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
         passed = 0.0 * sum
         if ti.static(solver.plan.bounces):
-            passed = touch_times.since_passing(solver, ball, i, j, r, sum)
+            if passes:
+                passed = touch_times.since_passing(solver, ball, i, j, r, sum)
         if r.dot(r) < reach * reach or passed > 0.0:
             n, d = unit(r, i, j)
             at = e

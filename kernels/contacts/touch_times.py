@@ -2,6 +2,7 @@
 
 from taichi_sim.device.engine import ti
 
+PASSING = 0.02  # of the radius in a step: what moves less takes at most as large a part of a speed from what it grazes
 STRAIGHT = 0.01  # of the radius, by which a way may differ from that of an even motion
 
 

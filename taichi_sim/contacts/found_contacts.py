@@ -99,8 +99,10 @@ class FoundContacts:
         if plan.neighbours:  # see ccd_balls
             # m, of the move just made; one memory: neither lasts from the move to the solve
             self.displacement = self.velocity_before
-            # moved_fast: 1, something did; balls, sticks: how many to look at; shortened: 1, a way was in the last round
-            self.swept = fields.table(dict.fromkeys(("moved_fast", "balls", "sticks", "shortened"), ti.i32), 1)
+            # moved_fast: 1, something did; balls, sticks: how many to look at; shortened: 1, a way was in the last round;
+            # moved, passes: 1, something did so far, or has, that pairs may have passed each other, see touch_times
+            names = ("moved_fast", "balls", "sticks", "shortened", "moved", "passes")
+            self.swept = fields.table(dict.fromkeys(names, ti.i32), 1)
             self.longest_displacement = fields.reals(1)  # m, of what moved fast
             # parts of the move that are made: so far, and after this round
             self.time_of_impact, self.next_time_of_impact = fields.reals(n), fields.reals(n)
@@ -210,9 +212,6 @@ class FoundContacts:
             self.walls.colliders.rewind()
         if ti.static(self.plan.pairs):
             self.pairs.grid.expire()
-        if ti.static(self.plan.bounces):
-            for i in range(self.n):  # nothing is known of how balls came here
-                self.displacement[i] = ti.Vector.zero(float, self.model.dim)
         if ti.static(self.plan.triangles):
             ccd_triangles.expire(self.triangles)
 

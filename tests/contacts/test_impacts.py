@@ -152,7 +152,7 @@ def test_pairs_that_do_not_bounce_keep_their_angular_momentum(dim):
 
 
 def encounters(dim, n, step):
-    """n pairs of balls of any masses that meet at up to three radii a step, seen from what moves as fast: the scene, both, what
+    """n pairs of balls of any masses that meet at up to three radii a step, in frames that move as fast: the scene, both, what
     they do afterwards (2, n, dim), and the speeds at which they meet."""
     rng, radius = np.random.default_rng(7), np.array([0.04, 0.05])
     scene = ts.Scene(dim=dim)
