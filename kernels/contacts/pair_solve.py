@@ -277,7 +277,7 @@ def correct_positions(solver: ti.template(), ball: ti.template(), i, colour, h, 
 def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
     """Displacement [m] that separates the pair of balls i and j in link c where their own motion does not.
 
-    In turn the pair keeps its angular momentum: further apart it turns as much more slowly.
+    In turn a pair that does not bounce keeps its angular momentum: further apart it turns as much more slowly.
     """
     contact = solver.pairs.contact[c]
     depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
@@ -290,7 +290,7 @@ def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
     if depth > 0.0:
         apart = contact_law.PUSH_OUT * depth
         q = apart / inverse_mass * contact.normal
-        if ti.static(solver.in_turn):
+        if ti.static(solver.in_turn and not solver.model.has_restitution):
             u, distance = ball[j].v - ball[i].v, solver.model.radius[i] + solver.model.radius[j] - contact.depth
             slip = u - u.dot(contact.normal) * contact.normal
             solver.exchange(i, j, apart / ((distance + apart) * inverse_mass) * slip)

@@ -9,7 +9,6 @@ h^2 k u^2 / 6 on average, and a body of springs or elements with each of its bal
 """
 
 from taichi_sim.device.engine import ti
-from taichi_sim.device.parts import STEP
 
 NO_PARTNER = -1
 
@@ -22,11 +21,11 @@ def clear(solver: ti.template(), i):
 
 
 @ti.func
-def look_back(solver: ti.template(), role: ti.template()):
-    """Impacts are taken back to the middle of the step: what forces gave in it, half of which is still to come, counts against
-    them. A start knows of no forces yet."""
+def look_back(solver: ti.template(), stepped):
+    """Take impacts back to the middle of the step: what forces gave in it, half of which is still to come, counts against
+    them. stepped: False at a start, which knows of no forces yet."""
     for i in range(solver.n):
-        solver.velocity_from_forces[i] = ti.select(role == STEP, -1.0, 0.0) * solver.velocity_from_forces[i]
+        solver.velocity_from_forces[i] = ti.select(stepped, -1.0, 0.0) * solver.velocity_from_forces[i]
 
 
 @ti.func
@@ -72,7 +71,7 @@ def throw_back(solver: ti.template(), h, forces: ti.template()):
 
 @ti.func
 def share(solver: ti.template(), i, part, kick: ti.template()):
-    """The same for a part of the kicks (n) [m/s] that forces give in the second half beside what was known of them."""
+    """Change [m/s] of ball i by a part of the kicks (n) that forces give in the second half beside what was known of them."""
     change = ti.Vector.zero(float, solver.model.dim)
     if ti.static(solver.plan.throws_back):
         j = partner(solver, i)
@@ -94,6 +93,6 @@ def partner(solver: ti.template(), i):
 
 @ti.func
 def part_of(solver: ti.template(), i, j, change):
-    """What ball i gets [m/s] of a change of its normal speed from ball j by forces since the touch."""
+    """Part [m/s] of ball i in a change of the speed of its pair with ball j by forces in the step of their touch."""
     w = solver.model.inverse_mass[i]
     return w / (w + solver.model.inverse_mass[j]) * solver.struck[i].gain * change * solver.struck[i].normal

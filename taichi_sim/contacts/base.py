@@ -234,7 +234,7 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def pair_share(self, i, part, kick: ti.template()):
-        """What ball i gets [m/s] beside a part of the kicks (n) of the second half where it bounced off another in this step."""
+        """Change [m/s] of ball i beside a part of the kicks (n) of the second half, where it bounced off another in this step."""
         return struck_pairs.share(self, i, part, kick)
 
     @ti.func
@@ -265,8 +265,8 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def _correct_positions(self, ball: ti.template(), h):
-        """The displacements that undo overlap where contacts are rigid. They move nothing on; but balls that are solved in turn
-        turn more slowly about each other when they come further apart."""
+        """The displacements that undo overlap where contacts are rigid. They move nothing on; but pairs that do not bounce
+        and are solved in turn turn more slowly when they come further apart."""
         if ti.static(self.corrects_positions):
             of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
             in_one = ti.static(self.plan.gathers and not (of_pairs and self.plan.by_colours))

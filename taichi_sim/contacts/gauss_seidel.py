@@ -3,6 +3,7 @@
 from taichi_sim.contacts.iterated_rule import IteratedRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
+from taichi_sim.device.parts import STEP
 from taichi_sim.kernels.contacts import impact_iterations, pair_impacts, pair_solve, pair_sweeps, struck_pairs
 from taichi_sim.kernels.contacts.pairs import LIST_BLOCK
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
@@ -109,7 +110,7 @@ class GaussSeidel(IteratedRule):
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
         if ti.static(self.plan.at_search):
-            struck_pairs.look_back(self, role)
+            struck_pairs.look_back(self, role == STEP)
             pair_impacts.all_rounds(self, ball, self.friction_part / self.rate[0])
         if ti.static(self.plan.loaded):
             for i in range(self.n):
