@@ -1,13 +1,13 @@
 """Continuous collision detection: what moves further than its radius in a step stops where it first touches a ball or a stick.
 
 It keeps its velocity, and the next contact solve finds it touching. Paths are straight within a step except where they bounce off
-walls (see bent_paths), and positions are the new ones already. A ball that moves less than its radius counts as being where it
-ends, for it cannot pass through anything meanwhile.
+walls (see bent_paths), and positions are the new ones already. A ball that moves less than its radius looks for nothing, for it
+cannot pass through anything meanwhile; what is fast meets it on its way, and it stops there as well.
 Times of impact are found in rounds, each against the paths that the one before has left, so that what has stopped early is not
 run through by a third.
 """
 
-from taichi_sim.kernels.contacts import bent_paths
+from taichi_sim.kernels.contacts import bent_paths, touch_times
 from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
@@ -33,6 +33,9 @@ def shorten_ways(solver: ti.template(), ball: ti.template()):
         if ti.static(solver.plan.sticks):
             solver.swept[0].sticks = solver.swept[0].moved_fast * solver.sticks.m
         solver.swept[0].moved_fast = 0
+        if ti.static(solver.plan.bounces):
+            solver.swept[0].passes = solver.swept[0].moved
+            solver.swept[0].moved = 0
         solver.swept[0].shortened = 0
     if ti.static(not fixed):
         for i in range(solver.swept[0].balls):
@@ -68,9 +71,12 @@ def begin_path(solver: ti.template(), i):
 
 @ti.func
 def find_time_of_impact(i, solver: ti.template(), ball: ti.template()):
-    """Find where the path of ball i stops at another ball, if the ball is fast."""
+    """Find where the path of ball i stops at another ball, which stops there, too, if ball i is fast."""
     if is_fast(solver, i):
-        ti.atomic_min(solver.next_time_of_impact[i], first_touch(solver, solver.pairs.grid, ball, i))
+        t, other = first_touch(solver, solver.pairs.grid, ball, i)
+        ti.atomic_min(solver.next_time_of_impact[i], t)
+        if t < 1.0 and solver.model.inverse_mass[other] > 0.0:
+            ti.atomic_min(solver.next_time_of_impact[other], t)
 
 
 @ti.func
@@ -99,6 +105,9 @@ def note_displacement(solver: ti.template(), i, shift):
     fast = solver.model.radius[i] ** 2
     if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
         fast = ti.min(fast, solver.crossing_squared[0])
+    if ti.static(solver.plan.bounces):
+        if way > touch_times.PASSING * solver.model.radius[i]:
+            solver.swept[0].moved = 1
     if way * way > fast:
         solver.swept[0].moved_fast = 1
         ti.atomic_max(solver.longest_displacement[0], way)
@@ -119,8 +128,9 @@ def start(solver: ti.template(), ball: ti.template(), i):
 
 @ti.func
 def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(), i):
-    """Part of its way at which ball i first touches another one, or 1."""
+    """Part of its way at which ball i first touches another one, or 1, and that one."""
     t = 1.0 + 0.0 * solver.displacement[i][0]
+    other = i
     for level in range(grid.levels):
         x = start(solver, ball, i)
         # others lie in the grid where they were when it was made: since then they moved by the skin and this step
@@ -149,8 +159,10 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
             for k in range(end - begin + last - first):
                 own = ti.select(k < end - begin, begin + k, first + k - (end - begin))
                 if everywhere or same_row(cell, cell_of(grid.copy[own].x, grid, level)):
-                    t = ti.min(t, time_of_touch(solver, ball, i, grid.sorted[own]))
-    return t
+                    touch = time_of_touch(solver, ball, i, grid.sorted[own])
+                    if touch < t:
+                        t, other = touch, grid.sorted[own]
+    return t, other
 
 
 @ti.func
@@ -158,36 +170,24 @@ def time_of_touch(solver: ti.template(), ball: ti.template(), i, j):
     """Part of its way at which ball i first touches ball j, or 1."""
     touch = 1.0 + 0.0 * ball[i].x[0]
     if i != j and may_touch(solver.pairs, i, j):
-        moves = is_fast(solver, j)
-        r = place(solver, ball, j, 0.0 * touch, moves) - start(solver, ball, i)
+        r = start(solver, ball, j) - start(solver, ball, i)
         distance = stopping_distance(solver.model.radius[i] + solver.model.radius[j], r.norm())
         t, end = 0.0 * touch, solver.time_of_impact[i]
         while t < end:
-            r = place(solver, ball, j, t, moves) - place(solver, ball, i, t, True)
+            r = path(solver, ball, j, t) - path(solver, ball, i, t)
             if bent_paths.is_unknown(solver, i, t):
-                around = bent_paths.beyond(solver, i) + ti.select(moves, path_length(solver, j), 0.0 * t)
+                around = bent_paths.beyond(solver, i) + path_length(solver, j)
                 touch = ti.select(r.norm() < distance + around, t, touch)
                 end = t
             else:
                 until = ti.min(end, bent_paths.next_change(solver, i, t))
-                d = -bent_paths.motion(solver, i, t)
-                if moves:
-                    until = ti.min(until, bent_paths.next_change(solver, j, t))
-                    d += present_motion(solver, j, t)
+                until = ti.min(until, bent_paths.next_change(solver, j, t))
+                d = present_motion(solver, j, t) - bent_paths.motion(solver, i, t)
                 later = t + meeting(r, d, distance, until - t)
                 if later < until:
                     touch, end = later, later
                 t = until
     return touch
-
-
-@ti.func
-def place(solver: ti.template(), ball: ti.template(), i, t, moves):
-    """Position of ball i [m] at part t of the step, or at its end, if it counts as being there."""
-    x = ball[i].x
-    if moves:
-        x = path(solver, ball, i, t)
-    return x
 
 
 @ti.func

@@ -14,7 +14,7 @@ none of whose contacts may have changed: those with a `disturbed` before the pre
 
 import math
 
-from taichi_sim.kernels.contacts import contact_law, wall_impacts
+from taichi_sim.kernels.contacts import contact_law, struck_pairs, touch_times, wall_impacts
 from taichi_sim.kernels.contacts.kinds import BALL_ARRIVING
 from taichi_sim.kernels.contacts.pairs import law_of
 from taichi_sim.kernels.contacts.warm_start import keep_at_most
@@ -29,6 +29,7 @@ UNDISTURBED = -1  # as `disturbed`
 NO_CONTACT = -1  # the end of a chain
 SPENT_SPEED = 0.02  # of an approach speed: a contact has lost the rest after so many bounces that e^k is less
 RESTING_SPEED = 0.01  # of the threshold: what moves less rests
+TOUCHING = 1e-3  # of the distance of two balls at touch: less overlap is rounding, and not in the way of a shift
 FAST_APPROACH = 0.5  # of the threshold: what closes faster may be fast once forces have acted
 
 
@@ -146,21 +147,6 @@ def bounces_on(solver: ti.template(), i, j, restitution):
 
 
 @ti.func
-def time_since_touch(solver: ti.template(), ball: ti.template(), i, j, u):
-    """Time [s] since balls i and j first touched, which overlap now and close with u, the relative velocity; at most a step, and
-    no longer ago than the last impact of either."""
-    r = ball[j].x - ball[i].x
-    reach, d = solver.model.radius[i] + solver.model.radius[j], r.norm()
-    within = (reach - d) * (reach + d)
-    time = 0.0 * d
-    if within > 0.0:
-        closing = -r.dot(u)
-        time = within / (closing + ti.sqrt(closing * closing + within * u.dot(u)))
-        time = ti.min(time, ti.min(solver.since_impact[i], solver.since_impact[j]))
-    return time
-
-
-@ti.func
 def note_impact(solver: ti.template(), i, since):
     """Note an impact of ball i, so many seconds ago."""
     solver.impacts[i] = solver.impacts[i] + 1
@@ -171,7 +157,7 @@ def note_impact(solver: ti.template(), i, since):
 def may_shift(solver: ti.template(), ball: ti.template(), i, c, shift):
     """True if nothing is in the way of ball i, which has an impact by contact c, where it comes by `shift` [m]: no wall, nor any
     third ball that it overlaps already, in which it would come deeper."""
-    free = shift.dot(shift) <= solver.model.radius[i] ** 2
+    free = True
     if ti.static(solver.plan.walls_in_turn):
         free = free and wall_impacts.may_shift(solver.walls, ball, i, shift, solver.impacts[i])
     if solver.model.inverse_mass[i] > 0.0:
@@ -186,9 +172,9 @@ def may_shift(solver: ti.template(), ball: ti.template(), i, c, shift):
 
 @ti.func
 def overlap(solver: ti.template(), ball: ti.template(), i, j):
-    """True if balls i and j overlap."""
+    """True if balls i and j overlap by more than rounding."""
     r, reach = ball[j].x - ball[i].x, solver.model.radius[i] + solver.model.radius[j]
-    return r.dot(r) < (reach * 0.999) ** 2
+    return r.dot(r) < ((1.0 - TOUCHING) * reach) ** 2
 
 
 @ti.func
@@ -199,8 +185,14 @@ def impacts_of_ball(solver: ti.template(), ball: ti.template(), i, now, time):
     for c in range(begin, begin + solver.pairs.touching[i]):
         j = solver.pairs.link[c].other
         measure_again(solver, ball, i, j, c)
-        if solver.pairs.contact[c].depth > 0.0:
+        passed = solver.pairs.contact[c].passed
+        if passed > 0.0 and passed > ti.min(solver.since_impact[i], solver.since_impact[j]):
+            passed = 0.0
+            solver.pairs.contact[c].passed = 0.0
+        if solver.pairs.contact[c].depth > 0.0 or passed > 0.0:
             n = solver.pairs.contact[c].normal
+            if passed > 0.0:
+                n, _ = unit(ball[j].x - ball[i].x - passed * (ball[j].v - ball[i].v), i, j)
             closing = contact_law.closing_speed((ball[j].v - ball[i].v).dot(n), approach_from_forces(solver, i, j, n))
             if closing > solver.threshold[0]:
                 restitution = law_of(solver.pairs, i, j).restitution
@@ -227,14 +219,17 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
     reach = solver.model.radius[i] + solver.model.radius[j]
     w, other = solver.model.inverse_mass[i], solver.model.inverse_mass[j]
     u = ball[j].v - ball[i].v
-    since = time_since_touch(solver, ball, i, j, u)
+    since = solver.pairs.contact[c].passed
+    if since == 0.0:
+        since = touch_times.since_touch(solver, ball, i, j, u)
+    solver.pairs.contact[c].passed = 0.0
     done = False
     for _ in range(2):  # at the moment of touch, or else, the second time, at once
         if not done:
             r = ball[j].x - ball[i].x - since * u
             n, d = unit(r, i, j)
             forced = approach_from_forces(solver, i, j, n)
-            at_touch = (1.0 + 2.0 * since * solver.rate[0]) * forced
+            at_touch = touch_times.forced_since(solver, forced, since)
             p = impulse(solver, i, j, n, d / reach, u, at_touch, time)
             shift_i, shift_j = (since * w) * p, (-since * other) * p
             fits = u.dot(n) + 0.5 * at_touch < 0.5 * ti.min(0.0, u.dot(n) + forced)
@@ -246,6 +241,7 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
                     t = d / reach * cross(n, p)
                 note_impact(solver, i, since)
                 note_impact(solver, j, since)
+                struck_pairs.note(solver, i, j, n, law_of(solver.pairs, i, j).restitution, since)
                 solver.apply(i, p, t)
                 solver.apply(j, -p, t)
                 if since > 0.0:

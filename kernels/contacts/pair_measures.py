@@ -1,7 +1,7 @@
 """Measures of pairs at the present places, after a search: which pairs touch, their normals and depths, and the impulses they
 start with."""
 
-from taichi_sim.kernels.contacts import pair_colours, pair_impacts
+from taichi_sim.kernels.contacts import pair_colours, pair_impacts, touch_times
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
@@ -35,6 +35,9 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             pair_colours.find_twins(pairs, i)
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
     begin, touching, held = pairs.first[i], 0, pairs.held[i]
+    passes = False
+    if ti.static(solver.plan.bounces):
+        passes = solver.swept[0].passes > 0
     total, angular = ti.Vector.zero(float, solver.model.dim), zero_scalar_in_2d(solver.model.dim)
     for t in range(pairs.number[i]):
         e = pair_entry(pairs, begin, t)
@@ -46,7 +49,11 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             # as far as either comes in a step, should the other be stopped, too: overlap would push back
             here, there = ball[i].v.dot(r), -ball[j].v.dot(r)
             reach += ti.max(0.0, ti.max(here + there, ti.max(here, there))) / (sum * solver.rate[0])
-        if r.dot(r) < reach * reach:
+        passed = 0.0 * sum
+        if ti.static(solver.plan.bounces):
+            if passes:
+                passed = touch_times.since_passing(solver, ball, i, j, r, sum)
+        if r.dot(r) < reach * reach or passed > 0.0:
             n, d = unit(r, i, j)
             at = e
             if ti.static(not solver.plan.by_colours):
@@ -54,7 +61,13 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
             pairs.contact[at].normal = n
             pairs.contact[at].depth = sum - d
             if ti.static(solver.plan.impacts_in_turn):
-                if (ball[j].v - ball[i].v).dot(n) < -pair_impacts.FAST_APPROACH * solver.threshold[0]:
+                u = ball[j].v - ball[i].v
+                closing = -u.dot(n)
+                if ti.static(solver.plan.bounces):
+                    pairs.contact[at].passed = passed
+                    if passed > 0.0:
+                        closing = -u.dot(r - passed * u) / sum
+                if closing > pair_impacts.FAST_APPROACH * solver.threshold[0]:
                     fast = 1
                     solver.disturbed[i] = 0
                 pairs.contact[at].lister = i

@@ -275,7 +275,10 @@ def correct_positions(solver: ti.template(), ball: ti.template(), i, colour, h, 
 
 @ti.func
 def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
-    """Displacement [m] that separates the pair of balls i and j in link c where their own motion does not."""
+    """Displacement [m] that separates the pair of balls i and j in link c where their own motion does not.
+
+    In turn a pair that does not bounce keeps its angular momentum: further apart it turns as much more slowly.
+    """
     contact = solver.pairs.contact[c]
     depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
     depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))
@@ -285,7 +288,12 @@ def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
     else:
         inverse_mass = solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]
     if depth > 0.0:
-        q = contact_law.PUSH_OUT * depth / inverse_mass * contact.normal
+        apart = contact_law.PUSH_OUT * depth
+        q = apart / inverse_mass * contact.normal
+        if ti.static(solver.in_turn and not solver.model.has_restitution):
+            u, distance = ball[j].v - ball[i].v, solver.model.radius[i] + solver.model.radius[j] - contact.depth
+            slip = u - u.dot(contact.normal) * contact.normal
+            solver.exchange(i, j, apart / ((distance + apart) * inverse_mass) * slip)
         add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)
         if ti.static(solver.in_turn):
             add(solver, solver.position_correction, j, solver.model.inverse_mass[j] * q)

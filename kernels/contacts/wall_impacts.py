@@ -32,12 +32,14 @@ def approach_from_forces(walls: ti.template(), solver: ti.template(), i, n):
 
 @ti.func
 def may_shift(walls: ti.template(), ball: ti.template(), i, shift, impacts):
-    """True if no wall is where ball i, after so many impacts in this step, comes by `shift` [m], at most its radius. Gaps to
-    colliders are those found before all of these."""
+    """True if no wall is where ball i, after so many impacts in this step, comes by `shift` [m]. Gaps to colliders are those
+    found before all of these, up to the radius."""
     free = True
+    number = walls.planes.count
     if ti.static(walls.has_colliders):
-        free = impacts == 0
-    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+        free = impacts == 0 and shift.dot(shift) <= walls.model.radius[i] ** 2
+        number = ti.select(walls.touching[i] > 0, walls.count, number)
+    for k in range(number):
         free = free and walls.normal(i, k).dot(shift) >= -ti.max(0.0, walls.gap(ball[i].x, i, k))
     return free
 

@@ -52,7 +52,7 @@ class Method:
     undamped springs resonates with the step, so that automatic steps are shorter there. `conserves`: it damps nothing of its
     own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `solves_elements`: the
     same for elements that give their derivatives. `single_pass`: each spring gives once in a step, or by halves in two passes,
-    what it would if it were alone.
+    what it would if it were alone. `swing_power`: of the elastic part of the energy, with which `swing` grows.
 
     A method that can say more overrides the functions below:
 
@@ -70,6 +70,7 @@ class Method:
     solves_gas: bool = False
     solves_elements: bool = False
     single_pass: bool = False
+    swing_power: float = 1.0
 
     def __str__(self) -> str:
         return self.name
@@ -212,7 +213,12 @@ class _TRBDF2(Method):
 
 EXPLICIT_EULER = _ExplicitEuler("explicit_euler", 1, ExplicitEulerLimit(undamped=1.0, damped=2.0))
 SYMPLECTIC_EULER = _SymplecticEuler(
-    "symplectic_euler", 1, StabilityLimit(undamped=2.0, damped=2.0), symplectic=True, conserves=True
+    "symplectic_euler",
+    1,
+    StabilityLimit(undamped=2.0, damped=2.0),
+    symplectic=True,
+    conserves=True,
+    swing_power=0.5,  # the root of elastic times kinetic energy
 )
 VERLET = _Verlet(
     "verlet", 2, DampedKickLimit(undamped=2.0, damped=1.0), symplectic=True, conserves=True, contact_solves=2

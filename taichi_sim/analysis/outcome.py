@@ -42,8 +42,9 @@ STARTS_DEEP = "move apart what overlaps at the start"
 class Scales(NamedTuple):
     """Scales that a run is judged by. slow [m/s]: 2 g h, below which nothing bounces. drivers: what works on it, in words;
     takers: what takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
-    it that the method's own moves by. squeezes: colliders or pins move. damps: the name of a method that takes energy
-    itself. touches: there may be contacts. starts_deep: balls were seen that overlap deeply at the start."""
+    it that the method's own moves by, where all is elastic; swing_power: of the elastic part, with which that grows; elastic:
+    that part at the start or the end, whichever is larger. squeezes: colliders or pins move. damps: the name of a method that
+    takes energy itself. touches: there may be contacts. starts_deep: balls were seen that overlap deeply at the start."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -51,6 +52,8 @@ class Scales(NamedTuple):
     motion: float
     swing: float
     squeezes: bool
+    swing_power: float = 1.0
+    elastic: float = 1.0
     damps: str = ""
     touches: bool = True
     starts_deep: bool = False
@@ -142,7 +145,7 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     much = (
         f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
     )
-    kept = max(KEPT, scales.swing)
+    kept = max(KEPT, scales.swing * min(1.0, max(0.0, scales.elastic)) ** scales.swing_power)
     if part > kept:
         return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing in the scene explains it: take shorter steps"
     grade = _grade(abs(part), kept, max(LOST, kept))

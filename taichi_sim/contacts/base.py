@@ -7,7 +7,7 @@ from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
 from taichi_sim.device.parts import STEP, Part
-from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps, struck_pairs
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactRule"]
@@ -228,17 +228,45 @@ class ContactRule(FoundContacts):
         return result
 
     @ti.func
+    def throw_back(self, h, forces: ti.template()):
+        """Add what the second half of the step's kick by `forces` has more for pairs that bounced in this step."""
+        struck_pairs.throw_back(self, h, forces)
+
+    @ti.func
+    def pair_share(self, i, part, kick: ti.template()):
+        """Change [m/s] of ball i beside a part of the kicks (n) of the second half, where it bounced off another in this step."""
+        return struck_pairs.share(self, i, part, kick)
+
+    @ti.func
+    def bounced(self, i):
+        """True if ball i has bounced in this step."""
+        found = False
+        if ti.static(self.plan.throws_back):
+            found = self.struck[i].other != struck_pairs.NO_PARTNER
+        if ti.static(self.plan.reflects):
+            found = found or self.walls.reflected[i].norm_sqr() > 0.0
+        return found
+
+    @ti.func
     def record_second_half(self, h, forces: ti.template()):
         """Record for probes what walls give beside the second half of the kick by `forces`."""
         if ti.static(self.plan.reflects):
             if ti.static(self.walls.probed):
                 for i in range(self.n):
-                    if self.model.inverse_mass[i] > 0.0:
-                        impact.record_thrown_back(self.walls, i, 0.5 * forces.change(i, h))
+                    self.record_thrown_back(i, 0.5 * forces.change(i, h))
+
+    @ti.func
+    def record_thrown_back(self, i, kick):
+        """Record for probes what walls give ball i beside a kick [m/s] of the second half."""
+        if ti.static(self.plan.reflects):
+            if ti.static(self.walls.probed):
+                if self.model.inverse_mass[i] > 0.0:
+                    impact.record_thrown_back(self.walls, i, kick)
 
     @ti.func
     def _correct_positions(self, ball: ti.template(), h):
-        """The displacements that undo overlap where contacts are rigid. Velocities never see them."""
+        """The displacements that undo overlap where contacts are rigid. They move nothing on; but pairs that do not bounce
+        and are solved in turn turn more slowly when they come further apart."""
         if ti.static(self.corrects_positions):
             of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
             in_one = ti.static(self.plan.gathers and not (of_pairs and self.plan.by_colours))

@@ -50,6 +50,7 @@ class FoundContacts:
     `impacts_in_turn`, `energy_limiter`, `gathers`, `by_colours`: what of these in ContactPlan the rule can do.
     """
 
+    struck: Any  # where the plan throws back, see kernels.contacts.struck_pairs
     name = "off"
     in_turn = False
     split = False
@@ -98,8 +99,10 @@ class FoundContacts:
         if plan.neighbours:  # see ccd_balls
             # m, of the move just made; one memory: neither lasts from the move to the solve
             self.displacement = self.velocity_before
-            # moved_fast: 1, something did; balls, sticks: how many to look at; shortened: 1, a way was in the last round
-            self.swept = fields.table(dict.fromkeys(("moved_fast", "balls", "sticks", "shortened"), ti.i32), 1)
+            # moved_fast: 1, something did; balls, sticks: how many to look at; shortened: 1, a way was in the last round;
+            # moved, passes: 1, something did so far, or has, that pairs may have passed each other, see touch_times
+            names = ("moved_fast", "balls", "sticks", "shortened", "moved", "passes")
+            self.swept = fields.table(dict.fromkeys(names, ti.i32), 1)
             self.longest_displacement = fields.reals(1)  # m, of what moved fast
             # parts of the move that are made: so far, and after this round
             self.time_of_impact, self.next_time_of_impact = fields.reals(n), fields.reals(n)
@@ -166,7 +169,7 @@ class FoundContacts:
         """Clear what the rule itself keeps of ball i, before pairs are measured."""
 
     @ti.func
-    def found(self, ball: ti.template()):
+    def found(self, ball: ti.template(), role: ti.template()):
         """All contacts are measured at the present positions."""
 
     @ti.func
@@ -274,7 +277,7 @@ class FoundContacts:
             if ti.static(self.plan.walls):
                 for i in range(self.n):
                     self._measure_walls(ball, i)
-        self.found(ball)
+        self.found(ball, role)
         if ti.static(self.shares_mass and not self.plan.gathers):
             for i in range(self.n):
                 self._share_mass(ball, i)

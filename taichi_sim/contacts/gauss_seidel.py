@@ -3,7 +3,8 @@
 from taichi_sim.contacts.iterated_rule import IteratedRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.contacts import impact_iterations, pair_impacts, pair_solve, pair_sweeps
+from taichi_sim.device.parts import STEP
+from taichi_sim.kernels.contacts import impact_iterations, pair_impacts, pair_solve, pair_sweeps, struck_pairs
 from taichi_sim.kernels.contacts.pairs import LIST_BLOCK
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
@@ -33,6 +34,11 @@ class GaussSeidel(IteratedRule):
             self.disturbed, self.impacts = fields.integers(n), fields.integers(n)
         if self.plan.bounces:
             self.since_impact = fields.reals(n)  # s, of the last one on a ball; a step where it had none
+        if self.plan.throws_back:
+            # of the last impact in this step: the other ball, (1 + e) times the part of a step since the touch, and the speed
+            # [m/s] along the normal to the other ball that forces had given the pair before
+            columns = {"other": ti.i32, "gain": fields.real, "from_forces": fields.real}
+            self.struck = fields.table(columns | {"normal": ti.types.vector(dim, fields.real)}, n)
         if self.plan.line_search:
             # island: a ball of the same one, in the end its root; island_was_struck: 1 of a root, something bounced in it
             self.island, self.island_was_struck = fields.integers(n), fields.integers(n)
@@ -49,7 +55,7 @@ class GaussSeidel(IteratedRule):
     def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
         """Impacts one by one."""
         pair_impacts.note_velocity_from_forces(self, ball)
-        if ti.static(self.plan.bounces and impacts):
+        if ti.static(self.plan.bounces and not self.plan.at_search and impacts):
             pair_impacts.all_rounds(self, ball, time)
 
     @ti.func
@@ -95,12 +101,17 @@ class GaussSeidel(IteratedRule):
             self.pairs.first_from_others[i] = pair_impacts.NO_CONTACT
         if ti.static(self.plan.bounces):
             self.since_impact[i] = 1.0 / self.rate[0]
+        struck_pairs.clear(self, i)
 
     @ti.func
-    def found(self, ball: ti.template()):
-        """Mark the balls that arrive fast at walls, and note the velocities from which on forces count as load."""
+    def found(self, ball: ti.template(), role: ti.template()):
+        """Mark the balls that arrive fast at walls; impacts one by one, where forces are asked for only then; and note the
+        velocities from which on forces count as load."""
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
+        if ti.static(self.plan.at_search):
+            struck_pairs.look_back(self, role == STEP)
+            pair_impacts.all_rounds(self, ball, self.friction_part / self.rate[0])
         if ti.static(self.plan.loaded):
             for i in range(self.n):
                 self.velocity_when_found[i] = ball[i].v

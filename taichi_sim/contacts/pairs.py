@@ -74,6 +74,8 @@ class Pairs:
             # lister: the ball that lists it; next_from_others: the next contact with the same other ball, or NO_CONTACT
             columns["lister"] = columns["next_from_others"] = ti.i32
             self.first_from_others = fields.integers(model.n)  # contact in which others list it, or NO_CONTACT
+        if plan.bounces:
+            columns["passed"] = fields.real  # s, since the touch of what parts again after less than a step, or 0
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.contact = fields.table(columns, self.capacity, by_column=self.interleaved)

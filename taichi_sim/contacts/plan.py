@@ -38,6 +38,8 @@ class ContactPlan:
     reflects: (
         bool  # what forces did before an impact on a wall is thrown back with the ball, see kernels.contacts.impact
     )
+    at_search: bool  # impacts in turn follow the search at once, see kernels.contacts.struck_pairs
+    throws_back: bool  # what forces did before is thrown back there as well
     iterations: int  # of the solve before the move
     gathers: bool  # both balls of a pair list it, and each sums what it gets: no order of pairs, and no atomics
     by_colours: bool  # both list it, and pairs are solved in turn by colours, see kernels.contacts.pair_colours
@@ -143,6 +145,8 @@ def plan_contacts(
         walls and restitution and pulls and reflects,
         "walls, restitution, forces that change within a step, and a method that asks for them at its end",
     )
+    at_search = decide("at_search", bounces and pulls, "bounces, and forces that change within a step")
+    decide("throws_back", at_search and reflects, "at_search, and a method that asks for forces at the end of a step")
     decide(
         "foresees",
         impacts_in_turn and soft and not bounces,

@@ -11,7 +11,10 @@ from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
 from taichi_sim.integrators.newton_cg import StageSolver
 
-__all__ = ["Implicit"]
+__all__ = ["FRESH", "KNOWN", "STRUCK", "Implicit"]
+
+# what is known of the forces at the start of a step: nothing; what the last stage came to; that, but for bodies that bounced
+FRESH, KNOWN, STRUCK = 1, 0, 2
 
 
 @ti.data_oriented
@@ -64,7 +67,7 @@ class Implicit(Integrator):
 
     def remembers(self) -> bool:
         """True after the first step."""
-        return bool(self.fresh[0] == 0)
+        return bool(self.fresh[0] != FRESH)
 
     def parts(self) -> list[Part]:
         """All stages, then contacts and the move, for one thread; see `advance`."""
@@ -78,30 +81,31 @@ class Implicit(Integrator):
 
     @ti.func
     def _forget(self, role: ti.template(), h, time):  # what the step before left is void
-        self.fresh[0] = 1
+        self.fresh[0] = FRESH
         if ti.static(self.solves):
             for i in range(self.model.n * self.stages):
                 self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
 
     @ti.func
     def _solve_stages(self, role: ti.template(), h, time):
-        for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
+        for stage in range(ti.select(self.fresh[0] == KNOWN, self.opening, 0), self.stages):
             self.begin(stage, h, time)
             if ti.static(self.solves):
-                self.solver.solve(self.part * h, stage)
+                self.solver.solve(ti.select(self.fresh[0] == STRUCK and stage == 0, h, self.part * h), stage)
             else:
                 self._free()
             self.end(stage, h)
-        self.fresh[0] = 0
+        self.fresh[0] = KNOWN
 
     def advance(self, number: int, h: float, time: float) -> None:
         """Advance by substep `number` of those of h seconds from `time` on, from the host, with loops that run in parallel."""
         real: Any = NUMPY_TYPES[self.ball.v.dtype]
         length = float(real(self.part) * real(h))  # of a stage, rounded as in kernels
-        for stage in range(self.opening * (1 - self.fresh[0]), self.stages):
+        before = int(self.fresh[0])
+        for stage in range(self.opening if before == KNOWN else 0, self.stages):
             self._begin(stage, number, h, time)
             if self.solves:
-                self.launched.solve(length, stage)
+                self.launched.solve(h if before == STRUCK and stage == 0 else length, stage)
             else:
                 self._launch_free()
             self._end(stage, h)
@@ -125,4 +129,4 @@ class Implicit(Integrator):
     @ti.kernel
     def _end(self, stage: int, h: float):
         self.end(stage, h)
-        self.fresh[0] = 0
+        self.fresh[0] = KNOWN

@@ -8,7 +8,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import phase_type
 from taichi_sim.device.parts import STEP, Part
 from taichi_sim.forces.driven_pins import DrivenPinSlopes
-from taichi_sim.integrators.implicit_base import Implicit
+from taichi_sim.integrators.implicit_base import STRUCK, Implicit
 
 __all__ = ["TRBDF2"]
 
@@ -23,11 +23,17 @@ class TRBDF2(Implicit):
     The forces of springs at the start of a step are what the last stage of the step before came to, not evaluated anew: what a
     stage left over of a stiff spring would come back multiplied by its stiffness. In the first step they come from a stage of
     implicit Euler. Gravity and the user's forces are explicit, of order 2 by the weights of Ascher, Ruuth and Spiteri (1997).
+
+    A ball that bounced is not where the stage put it, but up to 2 h u from there. So the next step begins with a stage of h
+    seconds back from its places x and velocities v, m (v' - v) = h (F(x + h (v' - v)) - F0), F0 being the forces that the stage
+    came to: v' - v is h times what forces have changed since, and stays below 2 u however stiff they are. Half of it is the
+    second half of the kick, thrown back as in Verlet. Bodies of which no ball bounced are left as they are.
     """
 
     method = TR_BDF2
     relaxes = True
     tolerance = 1e-3
+    reflects = True
     stages, opening = 3, 1
     part = 0.5 * GAMMA
     friction_part = 0.5
@@ -42,6 +48,9 @@ class TRBDF2(Implicit):
         if self.forces.extra:
             self.here = fields.table(phase_type(dim, fields.real), n)
         self.driven = self.pins is not None and self.forces.damped
+        self.answers = self.solves and (self.contacts.plan.reflects or self.contacts.plan.throws_back)
+        if self.answers:
+            self.struck = fields.integers(self.solver.bodies.count)  # 1: a ball of this body bounced in the last step
         if self.driven:
             assert self.forces.springs is not None
             self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
@@ -78,6 +87,11 @@ class TRBDF2(Implicit):
             else:
                 self.solver.base[i] = ball
                 self.solver.q[i] = ball.v + self.part * kick
+                if ti.static(self.answers):
+                    if stage == 0 and self.fresh[0] == STRUCK:
+                        self.solver.base[i].x = ball.x - h * ball.v
+                        self.solver.q[i] = ball.v - h * self.slope[i]
+                        self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
                 if stage == 1:
                     self.solver.base[i].x = ball.x + s * ball.v
                     self.solver.q[i] = ball.v + s * self.slope[i] + GAMMA * kick
@@ -86,9 +100,25 @@ class TRBDF2(Implicit):
     @ti.func
     def end(self, stage, h):
         """The slope that the stage came to; the next step starts with that of the last one."""
+        answers = ti.static(self.answers) and stage == 0 and self.fresh[0] == STRUCK
         for i in range(self.model.n):
-            if stage != 1:
+            if answers:
+                self.rest[i] = self.solver.base[i].v - self.ball[i].v
+            elif stage != 1:
                 self.slope[i] = (self.solver.base[i].v - self.solver.q[i]) / (self.part * h)
+        if ti.static(self.answers):
+            if answers:
+                self._answer(h)
+
+    @ti.func
+    def _answer(self, h):
+        """Give the bodies that bounced what forces have changed by it."""
+        for i in range(self.model.n):
+            if self.struck[self.solver.bodies.of(i)] > 0:
+                self.slope[i] = self.slope[i] + self.rest[i] / h
+                self.contacts.record_thrown_back(i, 0.5 * self.rest[i])
+                self.state.kick(i, self.contacts.second_half(i, 0.5 * self.rest[i]))
+                self.state.kick(i, self.contacts.pair_share(i, 0.5, self.rest))
 
     def finishing(self) -> list[Part]:
         """Parts that end a step: the kick to its mean velocity, contacts, the move, the rest of the change, contacts."""
@@ -97,8 +127,16 @@ class TRBDF2(Implicit):
 
     @ti.func
     def _kick_by_rest(self, role: ti.template(), h, time):
+        if ti.static(self.answers):
+            for b in range(self.solver.bodies.count):
+                self.struck[b] = 0
         for i in range(self.model.n):
-            self.state.kick(i, self.rest[i])
+            self.contacts.record_thrown_back(i, self.rest[i])
+            self.state.kick(i, self.contacts.second_half(i, self.rest[i]))
+            if ti.static(self.answers):
+                if self.contacts.bounced(i):
+                    self.struck[self.solver.bodies.of(i)] = 1
+                    self.fresh[0] = STRUCK
 
     @ti.func
     def _renew(self, role: ti.template(), h, time):

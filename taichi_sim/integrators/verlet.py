@@ -223,6 +223,7 @@ class Verlet(Integrator):
             self.pins.set_velocities(False)
         if ti.static(not self.delayed):
             self.contacts.record_second_half(h, self.forces)
+        self.contacts.throw_back(h, self.forces)
         if ti.static(self.predicts):
             for i in range(self.model.n):
                 a = self.forces.change(i, h) / h

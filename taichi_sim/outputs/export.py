@@ -106,8 +106,10 @@ class Summary:
 
     def _seen(self, scales: Scales) -> Scales:
         """Scales that include the energies at the start and the end, which samples between steps may miss."""
-        ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
-        return scales._replace(motion=max(scales.motion, *ends))
+        ends = self.energy_start, self.energy_end
+        motion = max(scales.motion, *(sum(energy[:2]) for energy in ends))
+        elastic = max(energy[1] for energy in ends) / motion if motion > 0.0 else 1.0
+        return scales._replace(motion=motion, elastic=elastic)
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""

@@ -319,6 +319,7 @@ class Stepper:
             takers=takers(scene, touches),
             motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
+            swing_power=self.method.swing_power,
             squeezes=self.squeezes,
             starts_deep=STARTS_DEEP in self._warned,
             damps="" if self.method.conserves else self.method.name,

@@ -334,6 +334,10 @@ def test_verdicts_go_with_the_scene():
         "gases and forces of your own may add or take energy here, so the energy change is no measure"
     )
     assert of_energy(0.0, 0.0, scales._replace(drivers=("motors",))) == ""
+    swings = scales._replace(swing=0.25, elastic=0.16)  # of what is elastic at either end: more is no swing
+    assert of_energy(0.0, 0.3, swings).endswith("good")
+    assert "wrong" in of_energy(0.0, 0.8, swings)
+    assert "good" in of_energy(0.0, 0.8, swings._replace(swing_power=0.5))
 
 
 def silo(**kinds):

@@ -163,6 +163,64 @@ def test_an_impact_runs_through_a_row_that_touches(dim, restitution):
         assert error((along**2).sum(axis=1), speed**2, 1.0) < (1e-12 if F64 else 1e-5)
 
 
+@pytest.mark.slow_where(dim=3)
+@each_dim
+def test_pairs_that_do_not_bounce_keep_their_angular_momentum(dim):
+    """They overlap by half a radius when they are found; pushed apart again they turn as much more slowly."""
+    scene, *_ = glancing(dim, 4, 0.0, 0.35)
+    rng = np.random.default_rng(3)
+    spin = 5.0 * rng.normal(size=(scene.n_balls, 1 if dim == 2 else 3))
+    with simulate(scene, dt=2e-3, substeps=1) as sim:
+        sim.resume(ts.Snapshot(scene.position, scene.velocity, surface_speed=spin))
+        turning = sim.angular_momentum()
+        sim.step(25)
+        assert error(sim.angular_momentum(), turning, 1.0) < (1e-13 if F64 else 5e-5)
+
+
+def encounters(dim, n, step):
+    """n pairs of balls of any masses that meet at up to three radii a step, in frames that move as fast: the scene, both, what
+    they do afterwards (2, n, dim), and the speeds at which they meet."""
+    rng, radius = np.random.default_rng(7), np.array([0.04, 0.05])
+    scene = ts.Scene(dim=dim)
+    scene.add_material("m", restitution=0.85, friction=0.2)
+    mass = np.stack([np.full(n, 1.3), 1.3 * 10 ** rng.uniform(-3.0, 3.0, n)])
+    aside = rng.uniform(-0.99, 0.99, n)
+    normal, relative = np.zeros((n, dim)), np.zeros((n, dim))
+    normal[:, 0], normal[:, 1] = np.sqrt(1 - aside**2), aside
+    speed = rng.uniform(0.1, 3.0, n) * radius[0] / step
+    relative[:, 0] = speed
+    frame = rng.uniform(-1.0, 1.0, (n, dim)) * speed[:, None]
+    part = rng.uniform(0.0, 1.0, (n, 1))
+    before = np.stack([(1 - part) * relative, -part * relative]) + frame
+    place = 6.0 * np.stack(np.unravel_index(np.arange(n), (int(np.ceil(n ** (1 / dim))),) * dim), axis=1)
+    at = place + np.stack([-radius[0] * normal, radius[1] * normal])
+    start = at - before * rng.uniform(2.0, 4.0, (n, 1)) * step
+    balls = [
+        scene.add_balls(start[k], radius=radius[k], mass=mass[k], velocity=before[k], material="m") for k in (0, 1)
+    ]
+    reduced = 1 / (1 / mass).sum(axis=0)
+    along = np.sum(relative * normal, axis=1)
+    slip = relative - along[:, None] * normal
+    held, pressed = reduced / (3.0 if dim == 2 else 3.5), 1.85 * along * reduced
+    rubbed = np.minimum(1.0, 0.2 * pressed / (np.linalg.norm(slip, axis=1) * held))[:, None] * slip * held[:, None]
+    impulse = pressed[:, None] * normal + rubbed
+    after = before + np.stack([-impulse / mass[0, :, None], impulse / mass[1, :, None]])
+    return scene, np.stack(balls), after, speed
+
+
+@pytest.mark.slow_where(dim=3)
+@each_dim
+def test_pairs_part_as_two_bodies_do_however_fast(dim):
+    """Whatever their masses, and where one is shifted by several radii: none passes, none takes another direction."""
+    step = 1e-3
+    scene, balls, after, speed = encounters(dim, 300, step)
+    with simulate(scene, dt=step, substeps=1) as sim:
+        sim.step(8)
+        off = np.linalg.norm(sim.velocity[balls] - after, axis=2) / speed
+    assert off.max() < (1e-9 if F64 else 2e-2)
+    assert np.median(off) < (1e-11 if F64 else 1e-4)
+
+
 @pytest.mark.slow
 def test_heights_above_a_pinned_ball():
     """A bounce found late, up to 8 mm deep in the pinned ball, gives the height of one at the moment of touch."""
