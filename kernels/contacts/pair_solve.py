@@ -149,6 +149,14 @@ def push_out_speed(solver: ti.template(), depth):
 
 
 @ti.func
+def calm_push_out_speed(solver: ti.template(), c):
+    """Largest speed [m/s] with which pair c pushes out overlap where solves start from loads: a slow one, of which little is
+    left where the iteration that ends a step does not take it back; more where the pair is pressed and would give way."""
+    leak = contact_law.SOFT_LEAK * solver.pairs.link[c].impulse / solver.pairs.contact[c].mass
+    return ti.max(contact_law.CALM_PUSH_OUT * solver.threshold[0], contact_law.PUSH_OUT_OF_LEAK * leak)
+
+
+@ti.func
 def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
     """Mass of a contact where it is split, 0 where an impact is left for the next solve; its target speed from the velocities
     before the solve, and its bias velocity."""
@@ -179,6 +187,8 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
                 rebound = 0.0
             elif not fast:
                 bias = push_out_speed(solver, depth)
+                if ti.static(solver.plan.keeps_loads and how.impacts):
+                    bias = ti.min(bias, calm_push_out_speed(solver, c))
         if ti.static(how.impacts):
             if ti.static(solver.model.has_restitution):
                 solver.pairs.link[c].rebound_speed = rebound

@@ -22,6 +22,13 @@ def scale(table: ti.template(), count, ratio, friction: ti.template()):
 
 
 @ti.func
+def scale_loads(table: ti.template(), count, ratio):
+    """Scale the loads of the first `count` contacts of a table by `ratio`."""
+    for e in range(count):
+        table[e].load = ratio * table[e].load
+
+
+@ti.func
 def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
     """Limit what contact c of a table accumulated to `most` [N s], which may be a load: the next solve starts with it, and
     would throw back what was an impact's."""
@@ -30,6 +37,15 @@ def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
         table[c].impulse = most
         if ti.static(friction):
             table[c].tangential_impulse = most / accumulated * table[c].tangential_impulse
+
+
+@ti.func
+def start_from_load(table: ti.template(), c, most, carried, friction: ti.template()):
+    """Limit what contact c of a table accumulated to `most` [N s], the largest that may be a load, and the part `carried` of the
+    rest. An impact that takes several steps to stop is braked by what it gave before, and less and less thrown back by it."""
+    accumulated = table[c].impulse
+    table[c].load = ti.min(accumulated, most)
+    keep_at_most(table, c, most + carried * (accumulated - most), friction)
 
 
 @ti.func
