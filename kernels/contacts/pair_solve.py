@@ -149,11 +149,14 @@ def push_out_speed(solver: ti.template(), depth):
 
 
 @ti.func
-def calm_push_out_speed(solver: ti.template(), c):
-    """Largest speed [m/s] with which pair c pushes out overlap where solves start from loads: a slow one, of which little is
-    left where the iteration that ends a step does not take it back; more where the pair is pressed and would give way."""
-    leak = contact_law.SOFT_LEAK * solver.pairs.link[c].impulse / solver.pairs.contact[c].mass
-    return ti.max(contact_law.CALM_PUSH_OUT * solver.threshold[0], contact_law.PUSH_OUT_OF_LEAK * leak)
+def calm_push_out_speed(solver: ti.template(), i, j, depth, wanted):
+    """Speed [m/s], at most the `wanted` one, with which balls i and j are pushed apart where solves start from loads: a slow one,
+    since the iteration that ends a step does not take back all of it, unless they lie deep in each other."""
+    speed, calm = wanted, contact_law.CALM_PUSH_OUT * solver.threshold[0]
+    if wanted > calm:
+        part = depth / (contact_law.DEEP_OVERLAP * ti.min(solver.model.radius[i], solver.model.radius[j]))
+        speed = ti.min(wanted, calm * (1.0 + part * part))
+    return speed
 
 
 @ti.func
@@ -188,7 +191,7 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
             elif not fast:
                 bias = push_out_speed(solver, depth)
                 if ti.static(solver.plan.keeps_loads and how.impacts):
-                    bias = ti.min(bias, calm_push_out_speed(solver, c))
+                    bias = calm_push_out_speed(solver, i, j, depth, bias)
         if ti.static(how.impacts):
             if ti.static(solver.model.has_restitution):
                 solver.pairs.link[c].rebound_speed = rebound

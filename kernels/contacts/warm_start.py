@@ -40,12 +40,24 @@ def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
 
 
 @ti.func
-def start_from_load(table: ti.template(), c, most, carried, friction: ti.template()):
-    """Limit what contact c of a table accumulated to `most` [N s], the largest that may be a load, and the part `carried` of the
-    rest. An impact that takes several steps to stop is braked by what it gave before, and less and less thrown back by it."""
+def largest_load(solver: ti.template(), start, i, j):
+    """The most [N s] that a contact of balls i and j may keep after an impact that had accumulated `start` before the solve."""
+    return LOAD_GROWTH * start + solver.threshold[0] / ti.max(
+        solver.model.inverse_mass[i], solver.model.inverse_mass[j]
+    )
+
+
+@ti.func
+def start_from_load(table: ti.template(), solver: ti.template(), c, i, j):
+    """Limit what contact c of a table, of balls i and j, accumulated in an impact to the largest load and a part of the rest. So
+    an impact that takes several steps to stop is braked by what it gave before, and hardly thrown back by it."""
     accumulated = table[c].impulse
-    table[c].load = ti.min(accumulated, most)
-    keep_at_most(table, c, most + carried * (accumulated - most), friction)
+    load = accumulated
+    if accumulated > LOAD_GROWTH * table[c].load:
+        most = largest_load(solver, table[c].load, i, j)
+        load = ti.min(accumulated, most)
+        keep_at_most(table, c, most + solver.carried_part[0] * (accumulated - most), solver.model.has_friction)
+    table[c].load = load
 
 
 @ti.func

@@ -153,8 +153,7 @@ class Walls(Surfaces):
     def _start_from_load(self, solver: ti.template(), i, c, crowded):
         """Limit what contact c of ball i accumulated in an impact; by itself a ball meets walls when it moves."""
         if crowded and self.model.inverse_mass[i] > 0.0:
-            most = wall_impacts.largest_load(solver, self.contact[c].load, i, i)
-            warm_start.start_from_load(self.contact, c, most, solver.carried_part[0], self.model.has_friction)
+            warm_start.start_from_load(self.contact, solver, c, i, i)
         else:
             self.contact[c].load = self.contact[c].impulse
 
