@@ -259,7 +259,7 @@ class Walls(Surfaces):
                 if ti.static(self.model.has_friction):
                     slip, tangential_mass = u, mass
                     if ti.static(solver.model.spins):
-                        slip -= lever(spin, n)
+                        slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
                         tangential_mass *= self.model.sideways(i)
                     law, before = self.law(i, k), contact.tangential_impulse
                     change, tangential = contact_law.friction_impulse(
