@@ -17,6 +17,8 @@ SOFT_LEAK = 1.0 / (1.0 + SOFT_STIFFNESS)  # part of the accumulated impulse that
 SOFT_MASS = 1.0 - SOFT_LEAK  # of the contact's mass
 PUSH_OUT = 0.5  # part of the remaining depth that the position correction of one step removes
 FASTEST_PUSH_OUT = 20.0  # of the threshold speed: soft contacts do not push out faster
+CALM_PUSH_OUT = 5.0  # the same where solves start from loads, see pair_solve.calm_push_out_speed
+DEEP_OVERLAP = 0.2  # of the radius: where it is twice as fast
 TOUCH_TOLERANCE = 1e-5  # of the radius: a ball this close that hardly approaches rests
 CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
 

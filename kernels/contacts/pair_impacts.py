@@ -17,7 +17,7 @@ import math
 from taichi_sim.kernels.contacts import contact_law, struck_pairs, touch_times, wall_impacts
 from taichi_sim.kernels.contacts.kinds import BALL_ARRIVING
 from taichi_sim.kernels.contacts.pairs import law_of
-from taichi_sim.kernels.contacts.warm_start import keep_at_most
+from taichi_sim.kernels.contacts.warm_start import keep_at_most, largest_load
 from taichi_sim.kernels.reductions import even_then_odd
 from taichi_sim.kernels.vectors import cross, lever, unit, zero_scalar_in_2d
 
@@ -293,7 +293,7 @@ def limit(solver: ti.template(), i):
     begin = solver.pairs.first[i]
     for c in range(begin, begin + solver.pairs.touching[i]):
         j = solver.pairs.link[c].other
-        most = wall_impacts.largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j)
+        most = largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j)
         keep_at_most(solver.pairs.link, c, most, solver.model.has_friction)
     if ti.static(solver.plan.walls_in_turn):
         wall_impacts.limit(solver.walls, solver, i)
@@ -302,7 +302,7 @@ def limit(solver: ti.template(), i):
 @ti.func
 def load_of(solver: ti.template(), i, j, c, accumulated):
     """Part that may be a load [N s] of what contact c of balls i and j accumulated."""
-    return ti.min(accumulated, wall_impacts.largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j))
+    return ti.min(accumulated, largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j))
 
 
 @ti.func

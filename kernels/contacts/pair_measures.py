@@ -5,6 +5,7 @@ from taichi_sim.kernels.contacts import pair_colours, pair_impacts, touch_times
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
+from taichi_sim.kernels.contacts.warm_start import start_from_load
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
@@ -123,6 +124,8 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 @ti.func
 def starting_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i with which its contact with j in link e starts, along the present normal."""
+    if ti.static(solver.plan.keeps_loads):
+        start_from_load(solver.pairs.link, solver, e, i, j)
     accumulated = solver.pairs.link[e].impulse
     if ti.static(solver.pairs.has_rebounds and (solver.split or solver.plan.limits_energy)):
         if solver.pairs.link[e].rebound_speed > 0.0:

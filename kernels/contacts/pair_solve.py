@@ -149,6 +149,17 @@ def push_out_speed(solver: ti.template(), depth):
 
 
 @ti.func
+def calm_push_out_speed(solver: ti.template(), i, j, depth, wanted):
+    """Speed [m/s], at most the `wanted` one, with which balls i and j are pushed apart where solves start from loads: a slow one,
+    since the iteration that ends a step does not take back all of it, unless they lie deep in each other."""
+    speed, calm = wanted, contact_law.CALM_PUSH_OUT * solver.threshold[0]
+    if wanted > calm:
+        part = depth / (contact_law.DEEP_OVERLAP * ti.min(solver.model.radius[i], solver.model.radius[j]))
+        speed = ti.min(wanted, calm * (1.0 + part * part))
+    return speed
+
+
+@ti.func
 def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
     """Mass of a contact where it is split, 0 where an impact is left for the next solve; its target speed from the velocities
     before the solve, and its bias velocity."""
@@ -179,6 +190,8 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
                 rebound = 0.0
             elif not fast:
                 bias = push_out_speed(solver, depth)
+                if ti.static(solver.plan.keeps_loads and how.impacts):
+                    bias = calm_push_out_speed(solver, i, j, depth, bias)
         if ti.static(how.impacts):
             if ti.static(solver.model.has_restitution):
                 solver.pairs.link[c].rebound_speed = rebound

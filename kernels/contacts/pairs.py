@@ -153,6 +153,8 @@ def forget(pairs: ti.template(), e):
 def forget_impulse(pairs: ti.template(), e):
     """Link e starts from nothing."""
     pairs.link[e].impulse = 0.0
+    if ti.static(pairs.plan.keeps_loads):
+        pairs.link[e].load = 0.0
     if ti.static(pairs.model.has_friction):
         pairs.link[e].tangential_impulse = zero_scalar_in_2d(pairs.model.dim)
 
@@ -181,6 +183,8 @@ def store_links(pairs: ti.template(), i):
             pairs.contact[c].target = link.bias_velocity
         elif ti.static(pairs.plan.soft):
             pairs.contact[c].starting_impulse = link.bias_velocity
+        if ti.static(pairs.plan.keeps_loads):
+            pairs.contact[c].starting_impulse = link.load
         if ti.static(pairs.has_rebounds):
             pairs.contact[c].rebound_speed = link.rebound_speed
         if ti.static(pairs.model.has_friction):
@@ -221,6 +225,8 @@ def recall(pairs: ti.template(), i, j, at):
                     pairs.link[at].bias_velocity = old.target
                 elif ti.static(pairs.plan.soft):
                     pairs.link[at].bias_velocity = old.starting_impulse
+                if ti.static(pairs.plan.keeps_loads):
+                    pairs.link[at].load = old.starting_impulse
                 if ti.static(pairs.has_rebounds):
                     pairs.link[at].rebound_speed = old.rebound_speed
                 if ti.static(pairs.model.has_friction):

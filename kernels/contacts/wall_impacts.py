@@ -3,20 +3,12 @@
 from taichi_sim.kernels.contacts import contact_law
 from taichi_sim.kernels.contacts.kinds import BALL_ALONE
 from taichi_sim.kernels.contacts.line_search import last_change
-from taichi_sim.kernels.contacts.warm_start import LOAD_GROWTH, keep_at_most
+from taichi_sim.kernels.contacts.warm_start import keep_at_most, largest_load
 from taichi_sim.kernels.vectors import cross, lever
 
 from taichi_sim.device.engine import ti
 
 UNBOUNDED_EXTENSION = 1e30  # times: nothing is in the way
-
-
-@ti.func
-def largest_load(solver: ti.template(), start, i, j):
-    """The most [N s] that a contact of balls i and j may keep after an impact that had accumulated `start` before the solve."""
-    return LOAD_GROWTH * start + solver.threshold[0] / ti.max(
-        solver.model.inverse_mass[i], solver.model.inverse_mass[j]
-    )
 
 
 @ti.func

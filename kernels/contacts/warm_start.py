@@ -22,6 +22,13 @@ def scale(table: ti.template(), count, ratio, friction: ti.template()):
 
 
 @ti.func
+def scale_loads(table: ti.template(), count, ratio):
+    """Scale the loads of the first `count` contacts of a table by `ratio`."""
+    for e in range(count):
+        table[e].load = ratio * table[e].load
+
+
+@ti.func
 def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
     """Limit what contact c of a table accumulated to `most` [N s], which may be a load: the next solve starts with it, and
     would throw back what was an impact's."""
@@ -30,6 +37,27 @@ def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
         table[c].impulse = most
         if ti.static(friction):
             table[c].tangential_impulse = most / accumulated * table[c].tangential_impulse
+
+
+@ti.func
+def largest_load(solver: ti.template(), start, i, j):
+    """The most [N s] that a contact of balls i and j may keep after an impact that had accumulated `start` before the solve."""
+    return LOAD_GROWTH * start + solver.threshold[0] / ti.max(
+        solver.model.inverse_mass[i], solver.model.inverse_mass[j]
+    )
+
+
+@ti.func
+def start_from_load(table: ti.template(), solver: ti.template(), c, i, j):
+    """Limit what contact c of a table, of balls i and j, accumulated in an impact to the largest load and a part of the rest. So
+    an impact that takes several steps to stop is braked by what it gave before, and hardly thrown back by it."""
+    accumulated = table[c].impulse
+    load = accumulated
+    if accumulated > LOAD_GROWTH * table[c].load:
+        most = largest_load(solver, table[c].load, i, j)
+        load = ti.min(accumulated, most)
+        keep_at_most(table, c, most + solver.carried_part[0] * (accumulated - most), solver.model.has_friction)
+    table[c].load = load
 
 
 @ti.func

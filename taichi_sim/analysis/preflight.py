@@ -15,7 +15,7 @@ __all__ = ["cautions"]
 
 FASTEST = 4.0  # radii that a pin may move in a substep
 MOST_TURNED = 0.5  # of its angular momentum, that a method may take from a body in a second
-MOST_RETURNED = 0.225  # of the speed of an impact without restitution: by sweeps, of masses 1:2
+MOST_RETURNED = 0.225  # of the speed of an impact without restitution: by sweeps, of masses 1:27
 MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 

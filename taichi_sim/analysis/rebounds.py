@@ -10,9 +10,9 @@ __all__ = ["AT_ONCE", "IN_SWEEPS", "IN_TURN", "cure", "returned", "sentence"]
 # impacts of pairs one by one; or by iterations over all contacts, by Jacobi or by Gauss-Seidel
 IN_TURN, AT_ONCE, IN_SWEEPS = "in turn", "at once", "in sweeps"
 LITTLE_BOUNCE = 0.3  # restitution below which a ball hardly comes back from two others on a floor
-# part of its speed with which a disc, so many times as heavy as one on the floor, comes back from it; restitution 0
-BY_JACOBI = ((1.0, 0.22), (100.0, 0.22))  # at most; it does not grow with the masses
-BY_SWEEPS = ((1.0, 0.13), (2.0, 0.23), (4.0, 0.32), (8.0, 0.42), (16.0, 0.51), (50.0, 0.62), (100.0, 0.63))
+# part of its speed with which a disc comes back from one on the floor, where masses differ so many times; restitution 0
+BY_JACOBI = ((1.0, 0.05), (4.0, 0.07), (16.0, 0.1), (50.0, 0.15), (100.0, 0.22))
+BY_SWEEPS = ((1.0, 0.05), (2.0, 0.06), (4.0, 0.07), (8.0, 0.1), (16.0, 0.15), (50.0, 0.32), (100.0, 0.6))
 
 
 def returned(scene: Scene, impacts: str) -> float:

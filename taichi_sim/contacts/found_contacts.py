@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taichi_sim.contacts.pairs import Pairs
-from taichi_sim.contacts.plan import ContactPlan
+from taichi_sim.contacts.plan import ContactPlan, carried_part
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
@@ -128,6 +128,8 @@ class FoundContacts:
             self.pair_count = fields.integers(n)  # pairs that touch each ball
         if self.splits_by_direction:
             self.normal_tensor = fields.matrices(n, dim)  # sum of n n^T over the pairs of each ball
+        if plan.keeps_loads:
+            self.carried_part = fields.reals(np.array([carried_part(self.model.scene)]))
         if plan.warm_starts and plan.pairs:
             self.warm_velocity = fields.vectors(n, dim)  # m/s, by the impulses with which pairs start
             if self.model.spins:
@@ -163,6 +165,10 @@ class FoundContacts:
             warm_start.scale(self.sticks.contact, self.sticks.capacity, ratio, self.model.has_friction)
         if ti.static(self.plan.walls):
             warm_start.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
+        if ti.static(self.plan.keeps_loads):
+            warm_start.scale_loads(self.pairs.link, self.pairs.capacity, ratio)
+            if ti.static(self.plan.walls):
+                warm_start.scale_loads(self.walls.contact, self.n * self.walls.count, ratio)
 
     @ti.func
     def clear(self, i):

@@ -57,6 +57,8 @@ class Pairs:
             columns["bias_velocity"] = fields.real  # m/s, with which overlap is pushed out, or RIGID
         if self.has_rebounds:
             columns["rebound_speed"] = fields.real  # m/s, 0 if it did not bounce
+        if plan.keeps_loads:
+            columns["load"] = fields.real  # N s, the part of the impulse that is no impact's, as far as it is known
         if plan.by_colours:  # colour, or SOLVED_BY_OTHER; twin: link in the other ball's list, or NO_LINK
             columns["colour"] = columns["twin"] = ti.i32
         self.link = fields.table(columns, self.capacity, by_column=self.interleaved)
@@ -66,8 +68,9 @@ class Pairs:
             columns["target"] = fields.real  # m/s, normal speed to come to
         if self.has_rebounds:
             columns["rebound_speed"] = fields.real  # m/s, of the link before lists were made anew
-        if plan.impacts_in_turn and plan.warm_starts:
-            columns["starting_impulse"] = fields.real  # N s, before the solve
+        if plan.keeps_loads or (plan.impacts_in_turn and plan.warm_starts):
+            # N s, before the solve; or the load of the link before lists were made anew
+            columns["starting_impulse"] = fields.real
         if plan.line_search:
             columns["previous_impulse"] = fields.real  # N s, before the last iteration
         if plan.impacts_in_turn:

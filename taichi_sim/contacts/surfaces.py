@@ -11,6 +11,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import contact_law
 from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
+from taichi_sim.kernels.vectors import lever
 from taichi_sim.scene.probes import bodies_of
 
 __all__ = ["Surfaces"]
@@ -94,6 +95,17 @@ class Surfaces:
             if k >= self.planes.count:
                 u -= self.collider_contacts.velocity(i, k - self.planes.count)
         return u
+
+    @ti.func
+    def turned_along(self, q, i, k, time):
+        """The vector q turned as contact k of ball i turns in `time` seconds: half a step for the speed of the ball's surface.
+        `relative` takes the chord of the place where the ball would be held, which one that rolls leaves on its way."""
+        if ti.static(self.has_colliders):
+            if ti.static(self.colliders.rotates):
+                if k >= self.planes.count:
+                    spin = self.colliders.pose[self.collider_contacts.collider(i, k - self.planes.count)].spin
+                    q += time * lever(spin, q)
+        return q
 
     @ti.func
     def record(self, i, k, p):

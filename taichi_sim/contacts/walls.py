@@ -9,7 +9,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
-from taichi_sim.kernels.contacts import contact_law, impact, nearby_colliders, statistics, wall_impacts
+from taichi_sim.kernels.contacts import contact_law, impact, nearby_colliders, statistics, wall_impacts, warm_start
 from taichi_sim.kernels.contacts.kinds import (
     ARRIVING,
     BALL_ALONE,
@@ -40,6 +40,8 @@ class Walls(Surfaces):
         columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
         if model.has_friction:
             columns["tangential_impulse"] = ti.types.vector(model.dim, fields.real)  # N s
+        if plan.keeps_loads:
+            columns["load"] = fields.real  # N s, the part of the impulse that is no impact's, as far as it is known
         if plan.walls_in_turn:  # [N s] before the solve, and before the last iteration
             columns |= {"starting_impulse": fields.real, "previous_impulse": fields.real}
             self.crowded = fields.integers(model.n)  # see kernels.contacts.kinds
@@ -121,6 +123,8 @@ class Walls(Surfaces):
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 fast = fast or u < -FAST_APPROACH * self.threshold[0]
                 self.contact[c].role = self._role(gap, u, touch, crowded, True)
+                if ti.static(self.plan.keeps_loads):
+                    self._start_from_load(solver, i, c, crowded)
                 if self.is_solved(c):
                     n = self.normal(i, k)
                     T += n.outer_product(n)
@@ -146,9 +150,19 @@ class Walls(Surfaces):
         return T, self.touching[i]
 
     @ti.func
+    def _start_from_load(self, solver: ti.template(), i, c, crowded):
+        """Limit what contact c of ball i accumulated in an impact; by itself a ball meets walls when it moves."""
+        if crowded and self.model.inverse_mass[i] > 0.0:
+            warm_start.start_from_load(self.contact, solver, c, i, i)
+        else:
+            self.contact[c].load = self.contact[c].impulse
+
+    @ti.func
     def forget(self, c):
         """Contact c has accumulated nothing."""
         self.contact[c].impulse = 0.0
+        if ti.static(self.plan.keeps_loads):
+            self.contact[c].load = 0.0
         if ti.static(self.model.has_friction):
             self.contact[c].tangential_impulse = ti.Vector.zero(float, self.model.dim)
 
@@ -245,7 +259,7 @@ class Walls(Surfaces):
                 if ti.static(self.model.has_friction):
                     slip, tangential_mass = u, mass
                     if ti.static(solver.model.spins):
-                        slip -= lever(spin, n)
+                        slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
                         tangential_mass *= self.model.sideways(i)
                     law, before = self.law(i, k), contact.tangential_impulse
                     change, tangential = contact_law.friction_impulse(

@@ -46,7 +46,8 @@ class Moments:
         self.held_stored = [_like_table(field, count, fields) for field in self.held]
         self.sizes = [field.shape[0] for field in self.held]
         self.scaled = [
-            [name for name in ("impulse", "tangential_impulse") if name in getattr(f, "keys", [])] for f in self.held
+            [name for name in ("impulse", "tangential_impulse", "load") if name in getattr(f, "keys", [])]
+            for f in self.held
         ]
         self.whole = {f"counter.{k}": field for k, field in enumerate(integrator.counters())}  # stored as they are now
         self.h = [0.0] * (count + 1)
@@ -109,6 +110,8 @@ class Moments:
                     held.impulse = ratio * held.impulse
                 if ti.static("tangential_impulse" in self.scaled[k]):
                     held.tangential_impulse = ratio * held.tangential_impulse
+                if ti.static("load" in self.scaled[k]):
+                    held.load = ratio * held.load
                 self.held[k][i] = held
         if ti.static(self.has_walls):  # what they hold is loaded: `prime` is to look at all of it
             ti.loop_config(serialize=self.serial)

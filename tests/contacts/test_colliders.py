@@ -3,6 +3,7 @@
 One scene for each dimension holds them all, far apart and of one body, because contact kernels are slow to compile.
 """
 
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -208,6 +209,37 @@ def test_what_friction_holds_on_a_turntable_goes_round_in_a_circle(laboratory):
     far = 200 * EPS * ROOM * laboratory.lab.next  # places are rounded far from the origin
     assert np.abs(out - out[0]).max() < far
     assert np.abs(angle - angle[0] - TURNTABLE * H * np.arange(len(out))).max() < far
+
+
+@pytest.mark.slow
+def test_what_rolls_on_a_turntable_circles_with_two_sevenths_of_its_speed():
+    """A solid sphere that starts as fast as the table, on a box and on a mesh: a circle, to second order of the step."""
+    rate, h, radius = 4.0, 0.01, 0.06
+    scene = ts.Scene(dim=3, gravity=(0.0, -G, 0.0))
+    scene.add_material("rubber", friction=1.0)
+    turns = {"material": "rubber", "rotation_rate": (0.0, float(np.degrees(rate)), 0.0)}
+    scene.add_collider(ts.Box((0.0, -1.0, 0.0), (10.0, 2.0, 10.0), **turns))
+    corners = np.array([[x, y, z] for x in (-5.0, 5.0) for y in (-2.0, 0.0) for z in (-5.0, 5.0)])
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    triangles = np.array([t for a, b, c, d in sides for t in ([a, b, c], [a, c, d])])
+    scene.add_collider(
+        ts.Mesh((corners + np.array([30.0, 0.0, 0.0]), triangles), resolution=16, pivot=(30.0, 0.0, 0.0), **turns)
+    )
+    far = np.array([0.0, 30.0])
+    at = np.stack([far + 0.5, [radius] * 2, [0.0] * 2], axis=1)
+    scene.add_balls(at, radius=radius, velocity=(0.0, 0.0, -0.5 * rate), material="rubber")
+    with warnings.catch_warnings(), simulate(scene, dt=h, substeps=1) as sim:
+        warnings.simplefilter("ignore")  # the rim moves by some radii a step
+        x = []
+        for _ in range(550):
+            sim.step(1)
+            x.append(sim.position)
+    x = np.array(x)
+    centre = far + 0.5 - 0.5 * 7 / 2
+    way = x[:, :, 0] - centre - 1j * x[:, :, 2]
+    out, angle = np.abs(way), np.unwrap(np.angle(way), axis=0)
+    assert np.abs(out / out[0] - 1.0).max() < 1e-3
+    assert (angle[-1] - angle[0]) / (549 * h) == pytest.approx(np.full(2, 2 / 7 * rate), rel=5e-4)
 
 
 def test_pinned_balls_ignore_colliders(laboratory):

@@ -397,18 +397,18 @@ def test_nothing_comes_back_where_nothing_bounces():
 @pytest.mark.parametrize(
     ("rule", "accumulate", "sticks", "most"),
     [
-        ("jacobi", "ordered", False, 0.2),
-        pytest.param("gauss_seidel", "gather", False, 0.4, marks=pytest.mark.long),
-        pytest.param("gauss_seidel", "ordered", True, 0.4, marks=pytest.mark.long),
+        ("jacobi", "ordered", False, 0.08),
+        pytest.param("gauss_seidel", "gather", False, 0.1, marks=pytest.mark.long),
+        pytest.param("gauss_seidel", "ordered", True, 0.1, marks=pytest.mark.long),
     ],
 )
 def test_little_comes_back_by_iterations_over_all_contacts(rule, accumulate, sticks, most):
-    """e = 0, impacts not in turn: no more of the speed than is said, the heavier ball at 12 heights, its mass 3 to 6 times."""
+    """e = 0, impacts not in turn: no more of the speed than is said, the upper ball at 12 heights, its mass 1 to 6 times."""
     scene, radius, speed = ts.Scene(dim=2, gravity=(0.0, -G)), 0.07, 2.5
     scene.add_wall((0, 1), 0.0)
     for k in range(12):
         at = [(0.5 * k, radius), (0.5 * k, 3 * radius + 0.001 * (k + 1))]
-        scene.add_balls(at, radius=radius, mass=[1.0, 3.0 + 3.0 * (k % 2)], velocity=[(0, 0), (0, -speed)])
+        scene.add_balls(at, radius=radius, mass=[1.0, 1.0 + 5.0 * (k % 2)], velocity=[(0, 0), (0, -speed)])
     if sticks:
         ends = scene.add_balls([(-3.0, 3.0), (-3.5, 3.0)], radius=0.01, pinned=True)
         scene.add_springs([ends], stiffness=100.0, collides=True)
@@ -423,8 +423,28 @@ def test_little_comes_back_by_iterations_over_all_contacts(rule, accumulate, sti
     assert ("sticks" in told.cure) is sticks
     said = float(told.what.split("up to ")[1].split()[0])
     assert 0.2 * said < fastest < 1.1 * said
-    warned = [caution for caution in cautions(scene, setup) if caution.startswith("rebound: ")]
-    assert len(warned) == (rule == "gauss_seidel")
+    for ratio, number in (6.0, 0), (60.0, rule == "gauss_seidel"):
+        scene.set_balls(1, mass=ratio)
+        warned = [caution for caution in cautions(scene, setup) if caution.startswith("rebound: ")]
+        assert len(warned) == number
+
+
+@pytest.mark.slow
+def test_unequal_piles_by_iterations_do_not_rest_inside_each_other():
+    """Masses 1 to 8 by Jacobi: what holds less of an impact still carries the heavier balls."""
+    rng = np.random.default_rng(8)
+    for _ in range(4):
+        scene, radius = ts.Scene(dim=2, gravity=(0.0, -G)), 0.04
+        scene.add_material("stone", restitution=0.4, friction=0.3)
+        for normal, offset in (((0, 1), 0.0), ((1, 0), 0.0), ((-1, 0), -0.8)):
+            scene.add_wall(normal, offset, "stone")
+        at = np.stack(np.divmod(np.arange(60), 8)[::-1], axis=1) * 0.096 + 0.056 + rng.uniform(-0.007, 0.007, (60, 2))
+        speed = rng.uniform(-1.0, 1.0, (60, 2))
+        scene.add_balls(at, radius=radius, mass=8.0 ** rng.uniform(0, 1, 60), velocity=speed, material="stone")
+        with simulate(scene, dt=1e-3, contacts="jacobi") as sim:
+            sim.step(3000)
+            assert sim.penetration() < 0.05 * radius
+            assert np.abs(sim.velocity).max() < 0.05
 
 
 @pytest.mark.slow
