@@ -33,6 +33,7 @@ SLOW_MODES_PART = 0.2  # of the tolerance, where slow modes are solved last and 
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
 GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
+ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
@@ -42,6 +43,7 @@ NUMBERS = (
     "phase",  # see below
     *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
     *("noise", "load"),  # of a residual that may be rounding; of what acts from outside
+    "flies",  # 1 where nothing but rounding acts, else 0
     *(
         "change",
         "part",
@@ -125,16 +127,21 @@ class Verdicts:
         self.number[b].passes = 0.0
         self.number[b].searches = 0.0
         self.number[b].moved = 1e300
+        self.number[b].flies = 0.0
         self.number[b].change = 1.0
         self.number[b].part = 1.0
         self.number[b].phase = BEGUN
 
     @ti.func
     def judge_guess(self, b):
-        """The phase of body b after its guess was added."""
+        """The phase of body b after its guess was added. A body on which nothing but rounding acts is not solved for: TR-BDF2
+        would take what it finds for a slope, and carry that on."""
         begun = self.number[b].phase == BEGUN
         self.number[b].change = 0.0
-        if begun and self.doubtful(b) == 1:
+        if self.is_rounding(b, self.number[b].scale, self.number[b].noise):
+            self.number[b].flies = 1.0
+            self.number[b].phase = SOLVED
+        elif begun and self.doubtful(b) == 1:
             self.number[b].phase = DOUBTFUL
         else:
             self.accept_guess(b)
@@ -144,6 +151,11 @@ class Verdicts:
         """The phase of body b, whose guess is good, or withdrawn."""
         self.set_target(b)
         self.go_on(b)
+
+    @ti.func
+    def is_rounding(self, b, acting, noise):
+        """True if what acts on body b is rounding up to a noise [J], False where anything acts from outside."""
+        return acting <= noise and self.number[b].load == 0.0
 
     @ti.func
     def go_on(self, b):
@@ -294,10 +306,8 @@ class Verdicts:
         if not left >= 0.0:  # the matrix was not positive definite
             left = scale
         indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
-        noise = self.number[b].noise
-        acts = scale > noise or left > noise or self.number[b].load > 0.0
         ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
-        if acts:  # else all of it is rounding
+        if not self.is_rounding(b, ti.max(scale, left), ADDED_NOISE * self.number[b].noise):
             left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
             ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:

@@ -73,13 +73,15 @@ class TRBDF2(Implicit):
             if stage == 2:
                 middle = self.solver.base[i].v
                 self.solver.base[i].x = ball.x + (MIDDLE * s) * (ball.v + middle)
-                explicit = (1.0 - 0.5 / GAMMA - 1.0 / (2.0 - GAMMA)) * self.kick[i] + 0.5 / GAMMA * kick
-                self.solver.q[i] = ball.v + MIDDLE * (middle - ball.v) + explicit
+                self.solver.kick[i] = (1.0 - 0.5 / GAMMA - 1.0 / (2.0 - GAMMA)) * self.kick[i] + 0.5 / GAMMA * kick
+                self.solver.q[i] = ball.v + MIDDLE * (middle - ball.v) + self.solver.kick[i]
             else:
                 self.solver.base[i] = ball
-                self.solver.q[i] = ball.v + self.part * kick
+                self.solver.kick[i] = self.part * kick
+                self.solver.q[i] = ball.v + self.solver.kick[i]
                 if stage == 1:
                     self.solver.base[i].x = ball.x + s * ball.v
+                    self.solver.kick[i] = GAMMA * kick
                     self.solver.q[i] = ball.v + s * self.slope[i] + GAMMA * kick
                     self.kick[i] = kick
 
