@@ -151,15 +151,21 @@ class StageSolver(Verdicts):
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.begins(b):
-                force = self.bodies.total(self.part.force, b)
-                self.number[b].residual = self.bodies.total(self.part.residual, b)
-                self.number[b].force = force
-                self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
+                self._note_sizes(b)
+                self.number[b].scale_of_blocks = self.number[b].scale
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
-                self.number[b].passes += 1.0
-                self.note_work(b)
                 self.judge_guess(b)
+
+    @ti.func
+    def _note_sizes(self, b):
+        """The sizes of the residual and of what acts on body b, and the work of the residual."""
+        force = self.bodies.total(self.part.force, b)
+        self.number[b].residual = self.bodies.total(self.part.residual, b)
+        self.number[b].force = force
+        self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
+        self.number[b].passes += 1.0
+        self.note_work(b)
 
     @ti.func
     def _measure(self, c, s):
@@ -177,11 +183,10 @@ class StageSolver(Verdicts):
                     if ti.static(self.has_elements):
                         block = self.elements.block(i)
                     inverse = self._inverse(i, w, block)
-                    own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
-                    f = r - own / w
-                    residual += ti.cast(r.dot(inverse @ r), self.wide)
-                    force += ti.cast(f.dot(inverse @ f), self.wide)
-                    kinetic += ti.cast(ti.max(own.dot(own), whole.dot(whole)) / w, self.wide)
+                    sizes = self._sizes(i, r, w, inverse)
+                    residual += sizes[0]
+                    force += sizes[1]
+                    kinetic += sizes[2]
                     load += ti.cast(self.kick[i].norm_sqr() / w, self.wide)
                     blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
                     blur += self.eps * ti.abs(self.first[i]).max() / w
@@ -193,6 +198,14 @@ class StageSolver(Verdicts):
             self.part[c].noise = noise
             self.part[c].load = load
             self._measure_work(c)
+
+    @ti.func
+    def _sizes(self, i, r, w, inverse):
+        """Parts of ball i, of inverse mass w, in `residual`, `force` and `kinetic`."""
+        own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
+        f = r - own / w
+        kinetic = ti.max(own.dot(own), whole.dot(whole)) / w
+        return ti.cast(ti.Vector([r.dot(inverse @ r), f.dot(inverse @ f), kinetic]), self.wide)
 
     @ti.func
     def _measure_work(self, c):
@@ -233,28 +246,29 @@ class StageSolver(Verdicts):
 
     @ti.func
     def evaluate(self):
-        """Size of the residual only, where changes that are found were added, or a part taken back. Blocks and aggregates stay
-        as they were: they condition well enough, and the residual keeps its measure."""
+        """Sizes where changes that are found were added, or a part taken back. Blocks and aggregates stay as they were: they
+        condition well enough, and the residual keeps its measure. See `go_on`."""
         self.bodies.each_part(self._measure_residual, ())
-        self.bodies.join((self.part.residual, self.part.given, self.part.taken, self.part.moving))
+        self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
+        self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:
-                self.number[b].residual = self.bodies.total(self.part.residual, b)
-                self.number[b].passes += 1.0
-                self.note_work(b)
+                self._note_sizes(b)
                 self.judge_change(b)
 
     @ti.func
     def _measure_residual(self, c):
         if self.number[self.bodies.part[c].body].phase == FOUND:
-            residual = ti.cast(0.0, self.wide)
+            sizes = ti.Vector.zero(self.wide, 3)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
                 self.sum[i] = r
-                residual += ti.cast(r.dot(self.inverse_block[i] @ r), self.wide)
-            self.part[c].residual = residual
+                w = self.model.inverse_mass[i]
+                if w > 0.0:
+                    sizes += self._sizes(i, r, w, self.inverse_block[i])
+            self.part[c].residual, self.part[c].force, self.part[c].kinetic = sizes[0], sizes[1], sizes[2]
             self._measure_work(c)
 
     @ti.func
@@ -471,7 +485,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def begins(self, b):
-        """True if the guess of body b is to be looked at, or was withdrawn."""
+        """True if the guess of body b is to be looked at, or was withdrawn, or its blocks are too old."""
         return self.number[b].phase == BEGUN or self.number[b].phase == WITHDRAWN
 
     @ti.func
