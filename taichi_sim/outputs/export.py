@@ -15,7 +15,16 @@ import numpy as np
 from taichi_sim.analysis import late_impacts, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
-from taichi_sim.analysis.outcome import Scales, left_out, not_included, of_approach, of_cells, of_depth, of_energy
+from taichi_sim.analysis.outcome import (
+    Scales,
+    left_out,
+    not_included,
+    of_approach,
+    of_cells,
+    of_depth,
+    of_energy,
+    untouched,
+)
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
@@ -104,9 +113,11 @@ class Summary:
         return f"{_shown(Path(self.video))}<pre>{escape(chr(10).join(self.lines()))}</pre>"
 
     def _seen(self, scales: Scales) -> Scales:
-        """Scales that include the energies at the start and the end, which samples between steps may miss."""
+        """Scales that include the energies at the start and the end, which samples between steps may miss, and what takes energy
+        by what frames showed."""
         ends = (sum(energy[:2]) for energy in (self.energy_start, self.energy_end))
-        return scales._replace(motion=max(scales.motion, *ends))
+        takers = scales.takers if self.most_contacts else untouched(scales.takers)
+        return scales._replace(motion=max(scales.motion, *ends), takers=takers)
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""
