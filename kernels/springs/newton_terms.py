@@ -19,9 +19,11 @@ from taichi_sim.device.engine import ti
 
 @ti.func
 def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
-    """Impulse s F on ball i, and r, along, across of the block along r r^T + across I of a spring; a, b: padded places and
-    velocities of balls i and j, as f and r are."""
-    r = b.x - a.x
+    """Impulse s F on ball i, and r, along, across of the block along r r^T + across I of a spring; a, b: padded places p at the
+    start of the stage and velocities of balls i and j, as f and r are. The difference of p + s v is not taken of sums: their
+    rounding grows with the distance from the origin."""
+    u = b.v - a.v
+    r = (b.x - a.x) + s * u
     square = padded_blocks.dot(r, r, dim)
     inverse = ti.rsqrt(ti.max(square, padded_blocks.COINCIDENT))
     d = square * inverse
@@ -29,7 +31,7 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
         n, _ = unit(padded_blocks.cut(r, dim), i, j)
         r = padded_blocks.pad(n, dim)
         inverse = 1.0
-    pull = tension(spring, s, d, inverse, padded_blocks.dot(b.v - a.v, r, dim), damped)
+    pull = tension(spring, s, d, inverse, padded_blocks.dot(u, r, dim), damped)
     rate = s * (s * spring.stiffness)
     across = ti.select(d >= spring.rest_length, rate * (1.0 - spring.rest_length * inverse), 0.0 * rate)
     if ti.static(damped):

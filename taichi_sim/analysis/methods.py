@@ -98,6 +98,10 @@ class Method:
         """Largest over least kinetic plus elastic energy of one oscillation, at a part of the bound."""
         return 1.0
 
+    def why_energy_grows(self) -> str:
+        """The reason in words why it may give energy to springs where nothing acts; empty where there is none."""
+        return f"{self} goes through the springs twice in a step and leaves them stretched" if self.single_pass else ""
+
     def passes(self, scene: Scene, h: float) -> int:
         """Number of times that a step of h seconds goes through the springs; of methods that iterate, the least."""
         return 1
@@ -205,6 +209,10 @@ class _TRBDF2(Method):
         weight = float(1.0 / (GAMMA * (2.0 - GAMMA)))
         end = np.linalg.solve(one - part * A, weight * middle + (1.0 - weight) * one)
         return np.asarray(end, dtype=np.float64)
+
+    def turning_loss(self, speed: float, h: float) -> float:
+        """h^3 W^4 / 40, see analysis.turning."""
+        return float((speed * h) ** 4) / (40.0 * h)
 
     def passes(self, scene: Scene, h: float) -> int:
         """Two stages."""

@@ -25,6 +25,7 @@ __all__ = [
     "of_depth",
     "of_energy",
     "takers",
+    "untouched",
 ]
 
 SHALLOW, DEEP = 0.1, 0.5  # of the radius: overlap that piles may have; half of the way to the centre
@@ -36,6 +37,7 @@ KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
 MESH = "the mesh, see `taichi-sim report --resolutions`"
 
+BY_CONTACT = ("restitution", "friction")  # of what takes energy
 STARTS_DEEP = "move apart what overlaps at the start"
 
 
@@ -44,7 +46,8 @@ class Scales(NamedTuple):
     takers: what takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
     it that the method's own moves by, where all is elastic; swing_power: of the elastic part, with which that grows; elastic:
     that part at the start or the end, whichever is larger. squeezes: colliders or pins move. damps: the name of a method that
-    takes energy itself. touches: there may be contacts. starts_deep: balls were seen that overlap deeply at the start."""
+    takes energy itself. gains: why the method may give energy, in words. touches: there may be contacts, or there were.
+    starts_deep: balls were seen that overlap deeply at the start."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -57,6 +60,13 @@ class Scales(NamedTuple):
     damps: str = ""
     touches: bool = True
     starts_deep: bool = False
+    gains: str = ""
+
+
+def untouched(names: Sequence[str]) -> tuple[str, ...]:
+    """Those of `takers` in a run of whose frames none shows a contact."""
+    kept = [name for name in names if name not in BY_CONTACT]
+    return tuple(kept if len(kept) == len(names) else [*kept, "contacts that no frame shows"])
 
 
 def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
@@ -147,7 +157,8 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     )
     kept = max(KEPT, scales.swing * min(1.0, max(0.0, scales.elastic)) ** scales.swing_power)
     if part > kept:
-        return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; nothing in the scene explains it: take shorter steps"
+        why = scales.gains or "nothing in the scene explains it"
+        return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; {why}: take shorter steps"
     grade = _grade(abs(part), kept, max(LOST, kept))
     if not scales.takers and not scales.damps:
         who = "only contacts can have changed it" if scales.touches else "nothing in the scene takes energy"
@@ -158,8 +169,9 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     lost = f"{start - end:.4g} J of it"
     if not scales.takers:
         return f"{lost} went into the own damping of {scales.damps}; shorter steps lose less"
-    own = f", or into the own damping of {scales.damps}: shorter steps tell" if scales.damps else ", as expected"
-    return f"{lost} went into {_listed(scales.takers)}{own}"
+    if not scales.damps:
+        return f"{lost} went into {_listed(scales.takers)}, as expected"
+    return f"{lost} went into the own damping of {scales.damps}, or into {_listed(scales.takers)}: shorter steps tell"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -2,7 +2,8 @@
 
 The step of implicit Euler and of xpbd ends where the velocity v' = (x' - x) / h points along the chord of the way, not along the
 tangent at its end. The internal forces are central, so L' = sum m x' x v = L - h sum m v x v', and v' is v turned by W h: a rigid
-body loses h W^2 of its angular momentum a second, at any stiffness. Thus W falls as W / sqrt(1 + 2 h W^2 t).
+body loses h W^2 of its angular momentum a second, at any stiffness. Thus W falls as W / sqrt(1 + 2 h W^2 t). TR-BDF2, of order 2,
+takes h^3 W^4 / 40: pairs that keep their length, solved to rounding, lost 0.0248 (h W)^4 a step at h W = 0.1, and 0.0225 at 1.5.
 """
 
 from typing import NamedTuple
@@ -37,9 +38,10 @@ class Turn(NamedTuple):
         rate = self.rate(method, h)
         return self.speed > 0.0 and max(rate, rate * 2.0 * np.pi / self.speed) > SHOWS
 
-    def kept(self, h: float, seconds: float) -> float:
-        """Part that is left after some seconds without other forces."""
-        return float(1.0 / np.sqrt(1.0 + 2.0 * h * self.speed**2 * seconds))
+    def kept(self, method: Method, h: float, seconds: float) -> float:
+        """Part that is left after some seconds without other forces: the loss falls as that power of the speed."""
+        power = 2 * method.order
+        return float((1.0 + power * self.rate(method, h) * seconds) ** (-1.0 / power))
 
 
 def fastest_turn(scene: Scene, position: Floats, velocity: Floats) -> Turn | None:
@@ -85,12 +87,16 @@ def _sums(body: NDArray[np.int64], values: Floats, n: int) -> Floats:
 
 def sentence(turn: Turn, method: Method, h: float, seconds: float = 1.0) -> str:
     """The loss of a turning body in words."""
+    left = turn.kept(method, h, seconds)
     return (
         f"{method} takes {turn.rate(method, h):.2g} of the angular momentum a second from the body of ball {turn.ball}, which"
-        f" turns at {turn.speed:.3g} rad/s: if nothing else acts, {turn.kept(h, seconds):.2g} is left after {seconds:.3g} s"
+        f" turns at {turn.speed:.3g} rad/s: if nothing else acts, {left:.2g} is left after {seconds:.3g} s"
     )
 
 
 def cure(turn: Turn, method: Method, h: float) -> str:
     """The remedy, empty where the loss is small."""
-    return f"take {TR_BDF2} or {VERLET}, which keep it" if turn.shows(method, h) else ""
+    if not turn.shows(method, h):
+        return ""
+    both = not turn.shows(TR_BDF2, h)
+    return f"take {TR_BDF2} or {VERLET}, which keep it" if both else f"take {VERLET}, which keeps it, or shorter steps"

@@ -11,6 +11,7 @@ from taichi_sim.integrators.newton_decisions import (
     SEARCHING,
     SOLVED,
     TRIED,
+    WITHDRAWN,
     compare_potentials,
     solve_stage,
 )
@@ -65,6 +66,7 @@ class Launched:
             if phase == DOUBTFUL:
                 self.doubtful_stages.add(stage)
                 launched.compare(s)
+            if phase in (DOUBTFUL, WITHDRAWN):
                 launched.move(s)
                 launched.linearise(s)
             if phase == TRIED:

@@ -24,7 +24,8 @@ class ImplicitEuler(Implicit):
         self.forces.flex(1.0)
         for i in range(self.model.n):
             self.solver.base[i] = self.ball[i]
-            self.solver.q[i] = self.ball[i].v + self.forces.external_change(i, h)
+            self.solver.kick[i] = self.forces.external_change(i, h)
+            self.solver.q[i] = self.ball[i].v + self.solver.kick[i]
 
     @ti.func
     def end(self, stage, h):

@@ -47,7 +47,8 @@ SUMS = (
 class StageSolver(Verdicts):
     """Solves m (q - v) + s F(p + s v, v) = 0 for the velocities v, see kernels.springs.newton_terms.
 
-    Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `q` (n) [m/s]; `first` (n): the start.
+    Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `q` (n) [m/s], of which `kick` (n) comes
+    from outside the bodies; `first` (n): the start.
     Without springs and elements v is q. gases, elements: those that act in the stage; elements give their derivatives.
     method: an Implicit; each of its `stages` starts with its change in the step before. `tolerance`: of the residual, in units of
     the impulses of the springs, both divided by the block diagonal of the matrix; less where the error of the method, of the
@@ -62,7 +63,7 @@ class StageSolver(Verdicts):
         self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
-        self.q, self.first = (fields.vectors(self.n, self.dim) for _ in range(2))
+        self.q, self.kick, self.first = (fields.vectors(self.n, self.dim) for _ in range(3))
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
@@ -71,7 +72,7 @@ class StageSolver(Verdicts):
         scene, width = model.scene, padded_blocks.width(self.dim)
         self.sum, self.dv = (fields.vectors(self.n, self.dim) for _ in range(2))
         self.last = fields.vectors(self.n * stages, self.dim)
-        self.ahead = fields.table(phase_type(width, fields.real), self.n)  # where the stage ends, padded
+        self.ahead = fields.table(phase_type(width, fields.real), self.n)  # padded
         vector = ti.types.vector(width, fields.real)
         block = {"r": vector, "along": fields.real, "across": fields.real}
         self.spring_block = fields.table(block, 0 if springs is None else springs.entries)
@@ -123,7 +124,6 @@ class StageSolver(Verdicts):
         for i in range(self.n):
             v = self.base[i].v + ti.cast(self.number[self.bodies.of(i)].change, float) * self.dv[i]
             self.base[i].v = v
-            self.ahead[i].x = padded_blocks.pad(self.base[i].x + s * v, self.dim)
             self.ahead[i].v = padded_blocks.pad(v, self.dim)
         self._sum_springs(self.residual, s)
         if ti.static(self.inflated):
@@ -151,15 +151,21 @@ class StageSolver(Verdicts):
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.begins(b):
-                force = self.bodies.total(self.part.force, b)
-                self.number[b].residual = self.bodies.total(self.part.residual, b)
-                self.number[b].force = force
-                self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
+                self._note_sizes(b)
+                self.number[b].scale_of_blocks = self.number[b].scale
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
-                self.number[b].passes += 1.0
-                self.note_work(b)
                 self.judge_guess(b)
+
+    @ti.func
+    def _note_sizes(self, b):
+        """The sizes of the residual and of what acts on body b, and the work of the residual."""
+        force = self.bodies.total(self.part.force, b)
+        self.number[b].residual = self.bodies.total(self.part.residual, b)
+        self.number[b].force = force
+        self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
+        self.number[b].passes += 1.0
+        self.note_work(b)
 
     @ti.func
     def _measure(self, c, s):
@@ -177,13 +183,13 @@ class StageSolver(Verdicts):
                     if ti.static(self.has_elements):
                         block = self.elements.block(i)
                     inverse = self._inverse(i, w, block)
-                    own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
-                    f = r - own / w
-                    residual += ti.cast(r.dot(inverse @ r), self.wide)
-                    force += ti.cast(f.dot(inverse @ f), self.wide)
-                    kinetic += ti.cast(ti.max(own.dot(own), whole.dot(whole)) / w, self.wide)
-                    load += ti.cast(whole.dot(whole) / w, self.wide)
+                    sizes = self._sizes(i, r, w, inverse)
+                    residual += sizes[0]
+                    force += sizes[1]
+                    kinetic += sizes[2]
+                    load += ti.cast(self.kick[i].norm_sqr() / w, self.wide)
                     blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
+                    blur += self.eps * ti.abs(self.first[i]).max() / w
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                 self.inverse_block[i] = inverse
             self.part[c].residual = residual
@@ -192,6 +198,14 @@ class StageSolver(Verdicts):
             self.part[c].noise = noise
             self.part[c].load = load
             self._measure_work(c)
+
+    @ti.func
+    def _sizes(self, i, r, w, inverse):
+        """Parts of ball i, of inverse mass w, in `residual`, `force` and `kinetic`."""
+        own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
+        f = r - own / w
+        kinetic = ti.max(own.dot(own), whole.dot(whole)) / w
+        return ti.cast(ti.Vector([r.dot(inverse @ r), f.dot(inverse @ f), kinetic]), self.wide)
 
     @ti.func
     def _measure_work(self, c):
@@ -232,28 +246,29 @@ class StageSolver(Verdicts):
 
     @ti.func
     def evaluate(self):
-        """Size of the residual only, where changes that are found were added, or a part taken back. Blocks and aggregates stay
-        as they were: they condition well enough, and the residual keeps its measure."""
+        """Sizes where changes that are found were added, or a part taken back. Blocks and aggregates stay as they were: they
+        condition well enough, and the residual keeps its measure. See `go_on`."""
         self.bodies.each_part(self._measure_residual, ())
-        self.bodies.join((self.part.residual, self.part.given, self.part.taken, self.part.moving))
+        self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
+        self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:
-                self.number[b].residual = self.bodies.total(self.part.residual, b)
-                self.number[b].passes += 1.0
-                self.note_work(b)
+                self._note_sizes(b)
                 self.judge_change(b)
 
     @ti.func
     def _measure_residual(self, c):
         if self.number[self.bodies.part[c].body].phase == FOUND:
-            residual = ti.cast(0.0, self.wide)
+            sizes = ti.Vector.zero(self.wide, 3)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
                 self.sum[i] = r
-                residual += ti.cast(r.dot(self.inverse_block[i] @ r), self.wide)
-            self.part[c].residual = residual
+                w = self.model.inverse_mass[i]
+                if w > 0.0:
+                    sizes += self._sizes(i, r, w, self.inverse_block[i])
+            self.part[c].residual, self.part[c].force, self.part[c].kinetic = sizes[0], sizes[1], sizes[2]
             self._measure_work(c)
 
     @ti.func
@@ -299,13 +314,12 @@ class StageSolver(Verdicts):
     def _potential(self, i, s, part):
         """Potential of ball i and its springs, see `_own_springs`, with `part` of the change taken back."""
         v = self.base[i].v - part * self.dv[i]
-        x = self.base[i].x + s * v
         phi = 0.5 * self.mass(i) * (self.q[i] - v).norm_sqr()
         if ti.static(self.has_springs):
             for k in range(self.potential_start[i], self.potential_start[i + 1]):
                 spring, j = self.springs.spring[self.potential_entry[k].spring], self.potential_entry[k].other
                 u = self.base[j].v - part * self.dv[j]
-                r = self.base[j].x + s * u - x
+                r = (self.base[j].x - self.base[i].x) + s * (u - v)
                 phi += newton_terms.potential(r, u - v, spring, s, self.springs.damped)
         return phi
 
@@ -316,6 +330,7 @@ class StageSolver(Verdicts):
         """The change of the step before is the first guess of this one."""
         for i in range(self.n):
             self.first[i] = self.base[i].v
+            self.ahead[i].x = padded_blocks.pad(self.base[i].x, self.dim)
             self.dv[i] = self.last[stage * self.n + i]
         self.free.find_means(self.base, self.q)
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -458,7 +473,11 @@ class StageSolver(Verdicts):
 
     @ti.func
     def end(self, stage):
-        """Give free bodies the momentum that they should have; note the change of this stage, and how well it was solved."""
+        """Give bodies that fly the velocities q, and free ones the momentum that they should have; note the change of this stage,
+        and how well it was solved."""
+        for i in range(self.n):
+            if self.number[self.bodies.of(i)].flies == 1.0:
+                self.base[i].v = self.q[i]
         self.free.share(self.base, self.q)
         for i in range(self.n):
             self.last[stage * self.n + i] = self.base[i].v - self.first[i]
@@ -466,7 +485,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def begins(self, b):
-        """True if the guess of body b is to be looked at, or was withdrawn."""
+        """True if the guess of body b is to be looked at, or was withdrawn, or its blocks are too old."""
         return self.number[b].phase == BEGUN or self.number[b].phase == WITHDRAWN
 
     @ti.func

@@ -33,6 +33,8 @@ SLOW_MODES_PART = 0.2  # of the tolerance, where slow modes are solved last and 
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
 GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
+ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
+OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
@@ -42,6 +44,8 @@ NUMBERS = (
     "phase",  # see below
     *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
     *("noise", "load"),  # of a residual that may be rounding; of what acts from outside
+    "scale_of_blocks",  # `scale` when blocks were made
+    "flies",  # 1 where nothing but rounding acts, else 0
     *(
         "change",
         "part",
@@ -53,7 +57,8 @@ NUMBERS = (
         "moved_before",
     ),  # before the change; of the change of this iteration and the last one
     *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last one gained; see `search`
-    *("target", "iterations", "searches"),  # of the residual; so many iterations of either kind
+    *("allowed", "target"),  # part of the scale that the residual may become, and that
+    *("iterations", "searches"),  # so many of either kind
     *("excess", "gained"),  # see Verdicts.note_work
     "passes",  # over springs, in this stage
 )
@@ -125,30 +130,51 @@ class Verdicts:
         self.number[b].passes = 0.0
         self.number[b].searches = 0.0
         self.number[b].moved = 1e300
+        self.number[b].flies = 0.0
         self.number[b].change = 1.0
         self.number[b].part = 1.0
         self.number[b].phase = BEGUN
 
     @ti.func
     def judge_guess(self, b):
-        """The phase of body b after its guess was added."""
+        """The phase of body b after its guess was added. A body on which nothing but rounding acts is not solved for: TR-BDF2
+        would take what it finds for a slope, and carry that on."""
         begun = self.number[b].phase == BEGUN
         self.number[b].change = 0.0
-        if begun and self.doubtful(b) == 1:
+        unmoved = self.number[b].iterations == 0.0
+        if unmoved and self.is_rounding(b, self.number[b].scale, self.number[b].noise):
+            self.number[b].flies = 1.0
+            self.number[b].phase = SOLVED
+        elif begun and self.doubtful(b) == 1:
             self.number[b].phase = DOUBTFUL
         else:
             self.accept_guess(b)
 
     @ti.func
     def accept_guess(self, b):
-        """The phase of body b, whose guess is good, or withdrawn."""
-        self.set_target(b)
+        """The phase of body b, whose guess is good, or withdrawn, or whose blocks were made anew."""
+        if self.number[b].iterations == 0.0:
+            self.allow(b)
         self.go_on(b)
 
     @ti.func
+    def is_rounding(self, b, acting, noise):
+        """True if what acts on body b is rounding up to a noise [J], False where anything acts from outside."""
+        return acting <= noise and self.number[b].load == 0.0
+
+    @ti.func
     def go_on(self, b):
-        """The phase of body b after an iteration of Newton's method, or before the first."""
-        self.number[b].phase = ti.select(self.unsolved(b) == 1, READY, SOLVED)
+        """The phase of body b after an iteration of Newton's method, or before the first. What acts is measured where the stage
+        is: at a guess that strains a body far it is much larger. Blocks of such a guess are made anew before the stage counts
+        as solved."""
+        scale, before = self.number[b].scale, self.number[b].scale_of_blocks
+        self.number[b].target = scale * self.number[b].allowed
+        if self.unsolved(b) == 1:
+            self.number[b].phase = READY
+        elif ti.max(scale, before) > OLD_BLOCKS * ti.min(scale, before) and self.number[b].iterations < MOST_ITERATIONS:
+            self.number[b].phase = WITHDRAWN
+        else:
+            self.number[b].phase = SOLVED
 
     @ti.func
     def next_search(self, b):
@@ -252,8 +278,9 @@ class Verdicts:
         return ti.cast(more and searches < MOST_SEARCHES, ti.i32)
 
     @ti.func
-    def set_target(self, b):
-        """Set how small the residual has to become, once it is known how far the change of the step before fits this one.
+    def allow(self, b):
+        """Set what part of what acts the residual may become, once it is known how far the change of the step before fits this
+        one.
 
         What is left then is the acceleration's change, of order h, so that this part of its `order`-th power is a part of the
         local error of the method; where a step does not resolve the motion, the tolerance it is.
@@ -262,7 +289,7 @@ class Verdicts:
         part = ti.cast(self.asked, self.wide)
         if force > 0.0:
             part = ti.min(part, LOCAL_ERROR_PART * (residual / force) ** (0.5 * self.order))
-        self.number[b].target = self.number[b].scale * ti.max(self.least, part) ** 2
+        self.number[b].allowed = ti.max(self.least, part) ** 2
 
     @ti.func
     def larger(self, b):
@@ -294,10 +321,8 @@ class Verdicts:
         if not left >= 0.0:  # the matrix was not positive definite
             left = scale
         indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
-        noise = self.number[b].noise
-        acts = scale > noise or left > noise or self.number[b].load > 0.0
         ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
-        if acts:  # else all of it is rounding
+        if not self.is_rounding(b, ti.max(scale, left), ADDED_NOISE * self.number[b].noise):
             left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
             ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:

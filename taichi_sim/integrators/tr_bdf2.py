@@ -82,18 +82,21 @@ class TRBDF2(Implicit):
             if stage == 2:
                 middle = self.solver.base[i].v
                 self.solver.base[i].x = ball.x + (MIDDLE * s) * (ball.v + middle)
-                explicit = (1.0 - 0.5 / GAMMA - 1.0 / (2.0 - GAMMA)) * self.kick[i] + 0.5 / GAMMA * kick
-                self.solver.q[i] = ball.v + MIDDLE * (middle - ball.v) + explicit
+                self.solver.kick[i] = (1.0 - 0.5 / GAMMA - 1.0 / (2.0 - GAMMA)) * self.kick[i] + 0.5 / GAMMA * kick
+                self.solver.q[i] = ball.v + MIDDLE * (middle - ball.v) + self.solver.kick[i]
             else:
                 self.solver.base[i] = ball
-                self.solver.q[i] = ball.v + self.part * kick
+                self.solver.kick[i] = self.part * kick
+                self.solver.q[i] = ball.v + self.solver.kick[i]
                 if ti.static(self.answers):
                     if stage == 0 and self.fresh[0] == STRUCK:
                         self.solver.base[i].x = ball.x - h * ball.v
+                        self.solver.kick[i] = ti.Vector.zero(float, self.model.dim)
                         self.solver.q[i] = ball.v - h * self.slope[i]
                         self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
                 if stage == 1:
                     self.solver.base[i].x = ball.x + s * ball.v
+                    self.solver.kick[i] = GAMMA * kick
                     self.solver.q[i] = ball.v + s * self.slope[i] + GAMMA * kick
                     self.kick[i] = kick
 

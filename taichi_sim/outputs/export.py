@@ -15,7 +15,17 @@ import numpy as np
 from taichi_sim.analysis import late_impacts, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
-from taichi_sim.analysis.outcome import MESH, Scales, left_out, not_included, of_approach, of_cells, of_depth, of_energy
+from taichi_sim.analysis.outcome import (
+    MESH,
+    Scales,
+    left_out,
+    not_included,
+    of_approach,
+    of_cells,
+    of_depth,
+    of_energy,
+    untouched,
+)
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
@@ -105,11 +115,13 @@ class Summary:
         return f"{_shown(Path(self.video))}<pre>{escape(chr(10).join(self.lines()))}</pre>"
 
     def _seen(self, scales: Scales) -> Scales:
-        """Scales that include the energies at the start and the end, which samples between steps may miss."""
+        """Scales that include the energies at the start and the end, which samples between steps may miss, and what takes energy
+        by what frames showed."""
         ends = self.energy_start, self.energy_end
         motion = max(scales.motion, *(sum(energy[:2]) for energy in ends))
         elastic = max(energy[1] for energy in ends) / motion if motion > 0.0 else 1.0
-        return scales._replace(motion=motion, elastic=elastic)
+        takers = scales.takers if self.most_contacts else untouched(scales.takers)
+        return scales._replace(motion=motion, elastic=elastic, takers=takers)
 
     def lines(self) -> list[str]:
         """The summary in words, one line per subject."""

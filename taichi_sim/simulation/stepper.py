@@ -323,6 +323,7 @@ class Stepper:
             squeezes=self.squeezes,
             starts_deep=STARTS_DEEP in self._warned,
             damps="" if self.method.conserves else self.method.name,
+            gains=self.method.why_energy_grows(),
             touches=touches,
         )
 
@@ -420,7 +421,8 @@ class Stepper:
         fastest = ball_in_words(self.scene.objects, ball)
         raise UnstableError(
             f"energy grows {_from_to(growth)} by t = {end:.6g} s, also with substeps of {self.dt / self._most:.6g} s, and"
-            f" nothing explains it; {fastest} is the fastest; the last good state, t = {self.time:.6g} s, is kept",
+            f" {self.method.why_energy_grows() or 'nothing explains it'}; {fastest} is the fastest; the last good state,"
+            f" t = {self.time:.6g} s, is kept",
             end,
             ball,
             None,
@@ -448,11 +450,11 @@ class Stepper:
                 )
             self.monitor.begin(sample)
             return
-        if self.method.single_pass and self.h <= limit:
+        why = self.method.why_energy_grows()
+        if why and self.h <= limit:
             self._warn(
                 "growth",
-                f"energy grew {_from_to(growth)} by t = {time:.6g} s, as {self.method} goes through the springs twice in a step"
-                f" of {self.h:.6g} s and leaves them stretched; take shorter steps",
+                f"energy grew {_from_to(growth)} by t = {time:.6g} s, as {why}; {self.h:.6g} s is used: take shorter steps",
             )
             return
         grew = f"energy grew {_from_to(growth)} by t = {time:.6g} s"

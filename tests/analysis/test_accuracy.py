@@ -8,8 +8,8 @@ from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy
-from taichi_sim.analysis.methods import VERLET
-from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy
+from taichi_sim.analysis.methods import VERLET, XPBD
+from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy, untouched
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 
@@ -71,6 +71,24 @@ def test_bodies_that_turn_lose_as_much_angular_momentum_as_said(method):
             kept = abs(end_momentum / start)
             assert kept == pytest.approx((1 + 2 * h * speed**2 * sim.time) ** -0.5, rel=0.05)
             assert left == pytest.approx((1 + 2 * h * speed**2) ** -0.5, rel=0.02)
+
+
+@pytest.mark.slow
+def test_tr_bdf2_takes_as_much_angular_momentum_as_said():
+    h, speed, steps = 2e-3, 275.0, 150
+    scene = turning_pair(h, speed)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="rotation: ")
+        sim = ts.Simulation(scene, arch="cpu", precision=PRECISION, integrator="tr_bdf2", dt=h, contacts="off")
+    with sim:
+        told = said(sim, "rotation")
+        assert told.cure == "take verlet, which keeps it, or shorter steps"
+        assert figure(told.what, "of the angular momentum a second") == pytest.approx(h**3 * speed**4 / 40, rel=0.05)
+        sim.step(steps)
+        centre, mean = (scene.mass @ a / scene.mass.sum() for a in (sim.position, sim.velocity))
+        r, u = sim.position - centre, sim.velocity - mean
+        kept = abs(scene.mass @ (r[:, 0] * u[:, 1] - r[:, 1] * u[:, 0])) / (0.75 * 0.09 * speed)
+        assert kept == pytest.approx((1 + steps * (h * speed) ** 4 / 10) ** -0.25, rel=0.02)
 
 
 # Bounces ----------------------------------------------------------------------------------------------------------------
@@ -322,11 +340,16 @@ def test_verdicts_go_with_the_scene():
     assert of_energy(0.0, -0.01, scales).endswith("good")
     assert "look at it" in of_energy(0.0, -0.3, scales)
     assert "nothing in the scene explains it" in of_energy(0.0, 1.0, scales)
+    twice = of_energy(0.0, 1.0, scales._replace(gains=XPBD.why_energy_grows()))
+    assert twice.endswith("xpbd goes through the springs twice in a step and leaves them stretched: take shorter steps")
     assert "nothing in the scene takes energy" in of_energy(0.0, -0.3, scales._replace(touches=False))
     lossy = scales._replace(takers=("restitution", "friction", "damping"))
     assert of_energy(0.0, -3.0, lossy) == "3 J of it went into restitution, friction and damping, as expected"
-    words = "3 J of it went into damping, or into the own damping of xpbd: shorter steps tell"
+    words = "3 J of it went into the own damping of xpbd, or into damping: shorter steps tell"
     assert of_energy(0.0, -3.0, scales._replace(takers=("damping",), damps="xpbd")) == words
+    assert untouched(("damping",)) == ("damping",)
+    words = "3 J of it went into the own damping of tr_bdf2, or into damping and contacts that no frame shows: shorter steps tell"
+    assert of_energy(0.0, -3.0, scales._replace(takers=untouched(lossy.takers), damps="tr_bdf2")) == words
     words = "3 J of it went into the own damping of xpbd; shorter steps lose less"
     assert of_energy(0.0, -3.0, scales._replace(damps="xpbd")) == words
     driven = of_energy(0.0, 5.0, scales._replace(drivers=("gases", "forces of your own")))

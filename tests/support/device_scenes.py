@@ -291,7 +291,9 @@ if __name__ == "__main__":
     found = {}
     for name in names or (*PICTURES, *BY_NAME, *SWINGING, *STIFF):
         if name in STIFF:
-            made = stiff(name, arch) | {"exact": stiff(name, arch, tolerance=1e-5)["position"]}
+            made = stiff(name, arch)
+            if PRECISION == "f64":
+                made |= {"exact": stiff(name, arch, tolerance=1e-9)["position"]}
         elif name in SWINGING:
             made = swung(name, arch) | {"exact": swung(name, arch, "verlet", 20)["position"]}
         else:
