@@ -75,7 +75,7 @@ class Aggregates:
         self.begin = fields.integers(np.append(0, np.cumsum(np.bincount(own, minlength=self.count))))
         block_of_body = np.full(bodies.count, -1)
         block_of_body[large] = np.arange(self.blocks)
-        self.block_of_body = fields.integers(block_of_body)
+        self.block_of_body, self.body = fields.integers(block_of_body), fields.integers(large)
         self.block_of = fields.integers(np.repeat(np.arange(self.blocks), counts))
         # of each body with aggregates: the first of them, unknowns, and where its matrix begins
         sizes = counts * self.dim
@@ -97,12 +97,13 @@ class Aggregates:
         self.wide = fields.wide
 
     @ti.func
-    def factor(self):
-        """The matrix of the springs as they are, and its Cholesky factor."""
-        each_part(self.count, self._assemble, ())
+    def factor(self, solver: ti.template()):
+        """The matrix of the springs as they are, and its Cholesky factor, of each body of which solver.begins(body) is true."""
+        each_part(self.count, self._assemble, (solver,))
         ti.loop_config(serialize=ti.static(self.blocks == 1))
         for b in range(self.blocks):
-            self._factor(b)
+            if solver.begins(self.body[b]):
+                self._factor(b)
 
     @ti.func
     def _factor(self, b):
@@ -120,7 +121,13 @@ class Aggregates:
                     self.matrix[at + i * size + j] = total / self.matrix[at + j * size + j]
 
     @ti.func
-    def _assemble(self, c):
+    def _assemble(self, c, solver: ti.template()):
+        """The rows of aggregate c, where they are due."""
+        if solver.begins(self.body[self.block_of[c]]):
+            self._assemble_rows(c)
+
+    @ti.func
+    def _assemble_rows(self, c):
         """The rows of aggregate c."""
         dim = ti.static(self.dim)
         block = self.block[self.block_of[c]]

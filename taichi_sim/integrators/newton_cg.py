@@ -147,23 +147,25 @@ class StageSolver(Verdicts):
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.aggregates.active):
-            self.aggregates.factor()
+            self.aggregates.factor(self)
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.begins(b):
-                self._note_sizes(b)
+                self._note_sizes(b, True)
                 self.number[b].scale_of_blocks = self.number[b].scale
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
                 self.judge_guess(b)
 
     @ti.func
-    def _note_sizes(self, b):
-        """The sizes of the residual and of what acts on body b, and the work of the residual."""
+    def _note_sizes(self, b, of_acting: ti.template()):
+        """The sizes of the residual and of what acts on body b, and the work of the residual. Of TR-BDF2
+        what acts is measured at the guess only: measured anew, stiff springs that turn far in a step take twice the passes."""
         force = self.bodies.total(self.part.force, b)
         self.number[b].residual = self.bodies.total(self.part.residual, b)
         self.number[b].force = force
-        self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
+        if ti.static(of_acting):
+            self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
         self.number[b].passes += 1.0
         self.note_work(b)
 
@@ -254,7 +256,7 @@ class StageSolver(Verdicts):
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:
-                self._note_sizes(b)
+                self._note_sizes(b, ti.static(self.order == 1))
                 self.judge_change(b)
 
     @ti.func
