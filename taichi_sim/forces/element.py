@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.device.engine import ti
+from taichi_sim.device.engine import CompilationError, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
@@ -34,6 +34,16 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["Element"]
 
 DERIVATIVES = ("product", "block", "potential")
+
+
+class FunctionError(CompilationError):  # type: ignore[misc, valid-type]
+    """A mistake in a user's function that shows only while kernels are compiled; the text is one sentence.
+
+    The engine raises it anew with the places in the sources that led there before its text: these are left out.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text.strip().rsplit("\n", 1)[-1])
 
 
 @ti.data_oriented
@@ -116,19 +126,41 @@ class Element(Corners):
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
         """The user's."""
-        return self.force(ball, row, time)
+        value = self.force(ball, row, time)
+        ti.static(self._fits("force", value, (self.dim,)))
+        return value
 
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):
         """The user's."""
-        return self.product(ball, row, s)
+        value = self.product(ball, row, s)
+        ti.static(self._fits("product", value, (self.dim,)))
+        return value
 
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """The user's."""
-        return self.block(ball, row, s)
+        value = self.block(ball, row, s)
+        ti.static(self._fits("block", value, (self.dim, self.dim)))
+        return value
 
     @ti.func
     def corner_potential(self, ball: ti.template(), i, row, s, real: ti.template()):
         """The user's."""
-        return ti.cast(self.potential(ball, row, s), real)
+        value = self.potential(ball, row, s)
+        ti.static(self._fits("potential", value, ()))
+        return ti.cast(value, real)
+
+    def _fits(self, function: str, value: Any, shape: tuple[int, ...]) -> bool:
+        """True where a function returns a value of this shape; raises FunctionError else, while kernels are compiled."""
+        is_number = not hasattr(value, "get_shape") or (hasattr(value, "is_tensor") and not value.is_tensor())
+        found = () if is_number else tuple(value.get_shape())
+        if found != shape:
+            raise FunctionError(
+                f"{type(self).__name__}.{function}: returns {_of_shape(found)}; it must return {_of_shape(shape)}"
+            )
+        return True
+
+
+def _of_shape(shape: tuple[int, ...]) -> str:
+    return f"a vector or matrix of shape {shape}" if shape else "a number"

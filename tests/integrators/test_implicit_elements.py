@@ -6,6 +6,7 @@ import taichi as ti
 from physics_support import F64, simulate
 
 import taichi_sim as ts
+from taichi_sim.device.engine import CompilationError
 from taichi_sim.integrators import TRBDF2, ImplicitEuler
 
 STIFFNESS = 3e5  # N/m, for balls of some grams: omega h is some hundreds
@@ -116,6 +117,45 @@ def test_some_of_the_derivatives_are_refused():
 
     with pytest.raises(ts.SceneError, match=r"Half.product: is given without block, potential"):
         ts.Simulation(rod(), forces=[Half([[0, 1, 2]], 1.0)])
+
+
+@ti.data_oriented
+class NumberForForce(Curve):
+    @ti.func
+    def force(self, ball: ti.template(), row, time):
+        return row.stiffness
+
+
+@ti.data_oriented
+class MatrixForProduct(Curve):
+    @ti.func
+    def product(self, ball: ti.template(), row, s):
+        return ti.Matrix.identity(float, 3)
+
+
+@ti.data_oriented
+class SmallBlock(Curve):
+    @ti.func
+    def block(self, ball: ti.template(), row, s):
+        return ti.Matrix.identity(float, 2)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [
+        (NumberForForce, r"force: returns a number; it must return a vector or matrix of shape \(3,\)"),
+        (MatrixForProduct, r"product: returns a vector or matrix of shape \(3, 3\); it must return .* \(3,\)"),
+        (SmallBlock, r"block: returns a vector or matrix of shape \(2, 2\); it must return .* \(3, 3\)"),
+    ],
+)
+def test_functions_that_return_another_shape_are_named(kind, says):
+    """A number for a vector was added to each of its components, and a block of another size ended the process."""
+    with (
+        ts.Simulation(rod(), forces=[kind([[0, 1, 2]], 1.0)], integrator="implicit_euler", dt=1e-3) as sim,
+        pytest.raises(CompilationError, match=f"^{kind.__name__}.{says}$"),
+    ):
+        sim.step()
 
 
 @pytest.mark.slow
