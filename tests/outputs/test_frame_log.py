@@ -140,6 +140,6 @@ def test_a_frame_that_is_none_is_said(tmp_path, damage):
         other.append(DAMAGES[damage](data) if k == 5 else data)
     other.close()
     before = files(tmp_path)
-    with pytest.raises(SceneError, match=r"/frames: is damaged \(.+\); delete .*x\.npz\.resume, or use --over"):
+    with pytest.raises(SceneError, match=r"/frames: is damaged \(.+\); delete .*x\.npz\.resume, or leave --resume out"):
         run(tmp_path, "x.npz", resume=True)
     assert files(tmp_path) == before
