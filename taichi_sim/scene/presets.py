@@ -83,8 +83,8 @@ _UNSURE = (
 _MATSUDAIRA = "Matsudaira, Masuda, Wada, Yokura 2015, J. Textile Eng. 61, 69-73"
 _THREADS = {"warp": 2000.0, "weft": 2000.0}  # N/m
 _ESTIMATED = (
-    "threads estimated: the first slope of what Kawabata's tests give shirts and suits, 3 to 10 % at 490 N/m, and shear in the"
-    " order of 1 gf/(cm degree); springs are softer, for longer steps"
+    "threads estimated: below the secant of what Kawabata's tests give shirts and suits, 3 to 10 % at 490 N/m, as fabrics are"
+    " softer unstretched; springs are softer still, for longer steps; shear estimated"
 )
 _TOUCH = "friction within the 0.2 to 0.6 of Gupta 2008, Friction in textile materials; restitution assumed"
 _ASHBY = "density and moduli: Ashby 2011, Materials selection in mechanical design"
@@ -121,7 +121,7 @@ PRESETS: dict[str, Preset] = {
     ),
     "silk": Preset(
         "a habotai of 16 momme of 4.34 g/m^2; bending rigidity in the order of the charts for thin dress fabrics in Kawabata"
-        f" 1980, The standardization and analysis of hand evaluation, shear of 0.3 gf/(cm degree); {_ESTIMATED}; {_TOUCH}",
+        f" 1980, The standardization and analysis of hand evaluation; {_ESTIMATED}; {_TOUCH}",
         *(0.0, 0.25, 0.069, 100.0, 17.0, 4e-6),
         **_THREADS,
         shear=0.3 * KES_SHEAR,
