@@ -7,7 +7,7 @@ Source of what was measured: Matsudaira, Masuda, Wada, Yokura 2015, J. Textile E
 
 import numpy as np
 import pytest
-from physics_support import simulate
+from physics_support import F64, simulate
 
 import taichi_sim as ts
 from taichi_sim.device.engine import ti
@@ -96,6 +96,7 @@ def five(angle):
 
 
 @pytest.mark.long
+@pytest.mark.skipif(not F64, reason="single precision leaves such steps unsolved, and says so")
 def test_cusicks_drape():
     """From the same five folds coefficients are within 3 points with triangles of 10 and 6 mm. Those of three fabrics, whose
     threads are estimated and whose friction within is left out, are the measured ones within 10 points, and in their order."""
