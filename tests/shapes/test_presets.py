@@ -178,7 +178,7 @@ def test_a_material_of_the_scene_goes_before_a_preset():
     scene.add_material("cotton", friction=0.9)
     ts.shapes.cloth(scene, resolution=(3, 3), material="cotton")
     assert scene.materials[1].friction == 0.9
-    assert scene.mass.sum() == pytest.approx(0.2)  # the default, not 0.228
+    assert scene.mass.sum() == pytest.approx(0.2)  # the default, not that of cotton
 
 
 def test_bodies_balls_and_walls(tmp_path):
