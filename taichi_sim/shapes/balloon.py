@@ -75,7 +75,9 @@ def balloon(
     surface = icosphere(cuts)
     surface = Surface(surface.vertices * reach, surface.triangles)
     total = or_default("balloon.mass", mass, RUBBER_DENSITY * surface_area(surface))
-    parts = cloth_material.of_mesh(surface, cloth_material.Fabric(total / surface_area(surface), stretch, 0.0, 0.0))
+    parts = cloth_material.of_mesh(
+        surface, cloth_material.Fabric(total / surface_area(surface), stretch, 0.0, 0.0, 0.0)
+    )
     pairs, strength = parts.springs[0]
     edges = surface.vertices[pairs[:, 1]] - surface.vertices[pairs[:, 0]]
     pull = 0.5 * inner * reach * cloth_material.tension_shares(surface)  # N/m of the edge's length

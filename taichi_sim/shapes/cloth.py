@@ -64,6 +64,7 @@ def cloth(
     stretch_stiffness: float | None = None,
     shear_stiffness: float | None = None,
     bending_rigidity: float | None = None,
+    bending_weft: float | None = None,
     warp: float | None = None,
     weft: float | None = None,
     shear: float | None = None,
@@ -110,12 +111,14 @@ def cloth(
         mass_per_area: in place of mass [kg/m^2]; 0.2.
         stretch_stiffness: force per width and strain along the threads [N/m]; 100.
         shear_stiffness: the same across them [N/m]; a fifth of it by default. A mesh has none of its own: a third of it.
-        bending_rigidity: moment per width and curvature [N m]; 1e-5, or that of a plate of the thickness.
+        bending_rigidity: moment per width and curvature [N m]; 1e-5, or that of a plate of the thickness; bending_weft: the same
+            along the weft, that along the warp by default [N m]. Without warp_angle the warp runs along x.
         warp: of a fabric of triangles, the force per width and strain along the warp [N/m], which runs along x, on a mesh as far
             as a triangle allows (along z where it faces x); weft: the same across it, the warp's by default [N/m]; coupling:
             force along one by strain along the other [N/m], 0; shear: force per width and angle of shear [N/m], a fifth of the
             warp.
-        warp_angle: of the warp, from x toward z [degrees]; 0.
+        warp_angle: of the warp, from x toward z [degrees]; 0. Of a fabric of `taichi-sim materials` it alone makes triangles,
+            with the threads of that fabric.
         young_modulus: of a sheet of triangles that is alike in all directions [Pa]; thickness: of it [m], which times the
             density of a preset is its mass per area; poisson_ratio: of it, 0.3 by default [1].
         damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is; of triangles, force
@@ -133,7 +136,11 @@ def cloth(
         "stretch_stiffness": stretch_stiffness,
         "shear_stiffness": shear_stiffness,
         "bending_rigidity": bending_rigidity,
+        "bending_weft": bending_weft,
     }
+    threads = {"warp": warp, "weft": weft, "shear": shear, "coupling": coupling}
+    if warp is None and (warp_angle is not None or any(value is not None for value in threads.values())):
+        threads = with_preset(scene, material, threads)
     sheet = {"young_modulus": young_modulus, "poisson_ratio": poisson_ratio, "thickness": thickness}
     if any(value is not None for value in sheet.values()):
         solid = with_preset(
@@ -144,7 +151,7 @@ def cloth(
         if mass is None and mass_per_area is None and density is not None and thickness is not None:
             woven["mass_per_area"] = density * validation.number("cloth.thickness", thickness, positive=True)
     weave, woven["bending_rigidity"] = _weave(
-        {"warp": warp, "weft": weft, "shear": shear, "coupling": coupling, "warp_angle": warp_angle},
+        threads | {"warp_angle": warp_angle},
         sheet,
         {"stretch_stiffness": stretch_stiffness, "shear_stiffness": shear_stiffness, "stiffness": stiffness,
          "bending_stiffness": bending_stiffness},
@@ -152,6 +159,7 @@ def cloth(
     )  # fmt: skip
     if stiffness is None and bending_stiffness is None:
         but = ["mass_per_area"] * (mass is not None) + ["shear_stiffness"] * (mesh is not None)
+        but += ["bending_weft"] * (woven["bending_rigidity"] is not None)
         woven = with_preset(scene, material, woven, but)
     exclusive("cloth", woven, {"stiffness": stiffness, "bending_stiffness": bending_stiffness})
     exclusive("cloth", {"mass_per_area": woven["mass_per_area"]}, {"mass": mass})
@@ -185,11 +193,11 @@ def cloth(
     masses: float | NDArray = total
     rest = None
     if weave is not None:
+        angle = 0.0 if warp_angle is None else np.radians(validation.number("cloth.warp_angle", warp_angle))
         made = cloth_material.Fabric(
             or_default("cloth.mass_per_area", woven["mass_per_area"], total / area), max(weave.warp, weave.weft), 0.0,
-            at_least_0("cloth.bending_rigidity", woven["bending_rigidity"], BENDING_RIGIDITY),
+            *_rigidities(woven), angle,
         )  # fmt: skip
-        angle = 0.0 if warp_angle is None else np.radians(validation.number("cloth.warp_angle", warp_angle))
         whole = meshes.Surface(surface.vertices * factor, surface.triangles)
         parts = cloth_material.of_triangles(whole, None if grid is None else (grid[1], grid[2] * factor), made)
         rest = cloth_material.along_warp(whole, angle)
@@ -241,7 +249,7 @@ def _weave(
     given = {name: at_least_0(f"cloth.{name}", value) for name, value in threads.items() if name not in SIGNED}
     if any(value is not None for value in threads.values()):
         if given["warp"] is None:
-            raise SceneError("cloth.warp", says="is missing; weft, shear, coupling and warp_angle go with it")
+            raise SceneError("cloth.warp", says="is missing; give it, or the material of a fabric")
         weft = given["weft"] if given["weft"] is not None else given["warp"]
         shear = given["shear"] if given["shear"] is not None else SHEAR_PART * given["warp"]
         coupling = threads["coupling"]
@@ -275,8 +283,14 @@ def _fabric(woven: dict[str, float | None], default_mass: float, of_mesh: bool) 
         or_default("cloth.mass_per_area", woven["mass_per_area"], default_mass),
         stretch,
         at_least_0("cloth.shear_stiffness", woven["shear_stiffness"], SHEAR_PART * stretch),
-        at_least_0("cloth.bending_rigidity", woven["bending_rigidity"], BENDING_RIGIDITY),
+        *_rigidities(woven),
     )
+
+
+def _rigidities(woven: dict[str, float | None]) -> tuple[float, float]:
+    """Bending rigidity along warp and weft [N m]."""
+    rigidity = at_least_0("cloth.bending_rigidity", woven["bending_rigidity"], BENDING_RIGIDITY)
+    return rigidity, at_least_0("cloth.bending_weft", woven["bending_weft"], rigidity)
 
 
 def _grid(size: Sequence[float] | None, resolution: Sequence[int] | None) -> tuple:

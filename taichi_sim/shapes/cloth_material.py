@@ -16,7 +16,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.geometry.mesh import Surface, hinges, unique_edges
 from taichi_sim.scene.membranes import flattened
 from taichi_sim.shapes.base import Bends, bends_along
-from taichi_sim.shapes.mesh_bending import corners_of, cotangent, is_thin, mesh_bends
+from taichi_sim.shapes.mesh_bending import corners_of, cotangent, is_thin, mesh_bends, warp_directions
 
 __all__ = [
     "Fabric",
@@ -33,7 +33,7 @@ __all__ = [
     "turned",
 ]
 
-WARP_ACROSS = 0.9  # cosine between a triangle's normal and the warp, from which on the warp lies across
+ASKEW = 1e-9  # sine of twice the angle between warp and rows, up to which the warp lies along them
 
 
 class Fabric(NamedTuple):
@@ -42,7 +42,9 @@ class Fabric(NamedTuple):
     mass_per_area: float  # kg/m^2
     stretch: float  # N/m
     shear: float  # N/m
-    rigidity: float  # N m
+    rigidity: float  # N m, along the warp
+    weft_rigidity: float  # N m
+    warp_angle: float = 0.0  # rad, from x toward z
 
 
 class Weave(NamedTuple):
@@ -67,7 +69,7 @@ def of_sheet(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> Parts
     return Parts(
         _sheet_masses(number, spacing, fabric),
         _sheet_springs(number, spacing, fabric),
-        _sheet_bends(number, spacing, fabric.rigidity),
+        _sheet_bends(number, spacing, fabric),
     )
 
 
@@ -80,7 +82,7 @@ def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
         raise SceneError("cloth.mesh", says=f"vertex {unused[0]} (from 0) belongs to no triangle; take it out")
     third = np.repeat(area / 3, 3)
     mass = fabric.mass_per_area * np.bincount(surface.triangles.ravel(), third, minlength=len(surface.vertices))
-    bends, across, strength = mesh_bends(surface, fabric.rigidity)  # a spring across is never stiffer than the sheet
+    bends, across, strength = _mesh_bends(surface, fabric)  # a spring across is never stiffer than the sheet
     springs = [_mesh_springs(surface, area, fabric), (across, np.minimum(strength, fabric.stretch))]
     return Parts(mass, springs, bends)
 
@@ -91,16 +93,19 @@ def of_triangles(surface: Surface, grid: tuple[tuple[int, int], NDArray] | None,
     if grid is None:
         parts = of_mesh(surface, fabric)
         return parts._replace(springs=parts.springs[1:])
-    return Parts(_sheet_masses(*grid, fabric), [], _sheet_bends(*grid, fabric.rigidity))
+    askew = fabric.rigidity != fabric.weft_rigidity and abs(np.sin(2.0 * fabric.warp_angle)) > ASKEW
+    bends = _mesh_bends(surface, fabric)[0] if askew else _sheet_bends(*grid, fabric)
+    return Parts(_sheet_masses(*grid, fabric), [], bends)
+
+
+def _mesh_bends(surface: Surface, fabric: Fabric) -> tuple[Bends, NDArray, NDArray]:
+    return mesh_bends(surface, fabric.rigidity, fabric.weft_rigidity, fabric.warp_angle)
 
 
 def along_warp(surface: Surface, angle: float) -> NDArray[np.float64]:
     """Corners (t, 3, 2) [m] of triangles in their planes, u along a warp that lies `angle` [rad] from x toward z."""
     x = surface.vertices[surface.triangles]
-    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
-    warp = np.array([np.cos(angle), 0.0, np.sin(angle)])
-    facing = np.abs(normal @ warp) > WARP_ACROSS * np.linalg.norm(normal, axis=1)
-    return flattened(x, np.where(facing[:, None], np.array([-np.sin(angle), 0.0, np.cos(angle)]), warp))
+    return flattened(x, warp_directions(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), angle))
 
 
 def _borders(number: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -163,19 +168,23 @@ def diagonals(index: NDArray) -> NDArray[np.int64]:
     return np.stack([end.ravel() for end in ends], axis=1)
 
 
-def _sheet_bends(number: tuple[int, int], spacing: NDArray, rigidity: float) -> Bends:
-    """A plate with Poisson's ratio 0, energy rigidity / 2 (w_xx^2 + w_zz^2 + 2 w_xz^2) per area.
+def _sheet_bends(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> Bends:
+    """A plate with Poisson's ratio 0, whose warp lies along x or z: energy (B_x w_xx^2 + B_z w_zz^2 + (B_x + B_z) w_xz^2) / 2 per
+    area, with the rigidities along x and z.
 
     Each three balls in a row have the second difference, each four of a mesh the twist; a row at the border counts half.
     """
     index = np.arange(number[0] * number[1]).reshape(number)
     a, b = spacing
     beside_x, beside_z = _borders(number)
-    along_x = bends_along(index, rigidity * b / a**3 * beside_z)
-    along_z = bends_along(index.T, rigidity * a / b**3 * beside_x)
+    one, other = fabric.rigidity, fabric.weft_rigidity
+    if abs(np.sin(fabric.warp_angle)) > 0.5:
+        one, other = other, one
+    along_x = bends_along(index, one * b / a**3 * beside_z)
+    along_z = bends_along(index.T, other * a / b**3 * beside_x)
     four = np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]], axis=-1).reshape(-1, 4)
     weights = np.tile([1.0, -1.0, -1.0, 1.0], (len(four), 1))
-    twist = Bends(four, weights, np.full(len(four), 2 * rigidity / (a * b)), hinge=False)
+    twist = Bends(four, weights, np.full(len(four), (one + other) / (a * b)), hinge=False)
     return along_x.plus(along_z).plus(twist)
 
 

@@ -5,6 +5,7 @@ is right along its sides store up to 2.9 times too much, and a strip of such a g
 it bends where its hinges are not. Four balls in a plane measure one combination of the curvatures, whatever they are: u : kappa.
 For each triangle those at its edges and those in a row through its vertices get strengths of at least 0 whose energies add up to
 rigidity / 2 (|kappa|^2 + t det kappa) times its area, with any t: what is not stretched has no Gaussian curvature, det kappa = 0.
+With rigidities B and C along warp and weft, (B + C) / 2 |kappa|^2 + (B - C) / 2 (kappa_uu^2 - kappa_vv^2) is in its place.
 Of all such strengths the least are taken (least squares with a little weight on the strengths), so that neighbouring rows share
 evenly. The half of a row beyond the last balls does not bend: a triangle at a border leaves out the curvature across it.
 """
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from taichi_sim.geometry.mesh import Surface, hinges, sides
 from taichi_sim.shapes.base import Bends
 
-__all__ = ["corners_of", "cotangent", "is_thin", "mesh_bends"]
+__all__ = ["corners_of", "cotangent", "is_thin", "mesh_bends", "warp_directions"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -28,6 +29,7 @@ Measures = tuple[Ints, Floats, Floats]  # vertices (c, 4), weights (c, 4) and st
 
 FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 STRAIGHT = np.cos(np.radians(40.0))  # of the bend at a ball up to which two of its neighbours are in a row with it
+WARP_ACROSS = 0.9  # cosine between a normal and the warp, from which on the warp lies across
 LEAST = 1e-9  # of what a triangle can measure: four balls that measure less measure nothing
 EXACT = 1e-9  # of a weight: rounding of 0
 FEW = 1e-3  # of the rigidity: a strength that does not count
@@ -48,15 +50,19 @@ SQUARE = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # |kappa|^2 in these
 DETERMINANT = np.array([0.0, 0.0, -0.5, 0.5 * ROOT, 0.0, 0.0])
 
 
-def mesh_bends(surface: Surface, rigidity: float | None = None) -> tuple[Bends, NDArray, NDArray]:
+def mesh_bends(
+    surface: Surface, rigidity: float | None = None, weft: float | None = None, warp_angle: float = 0.0
+) -> tuple[Bends, NDArray, NDArray]:
     """Bending of a mesh: elements where it is flat at rest, and springs (m, 2), (m,) [N/m] across the edges where it is folded.
 
     A spring across an edge of length e stores rigidity [N m] e^2 / (A0 + A1) times half the square of a small change of the
     angle, which is what a cylinder stores. A hinge with cotangents K, rigidity / (A0 + A1) |K . x|^2 / 2 (Bergou et al. 2006),
     stores the same, and is taken where a triangle has one neighbour. Without a rigidity each edge has
     that of three balls in a row whose element has a stiffness of 1 N/m, the ends as far apart as the two vertices that face each
-    other across the edge. Beside a triangle without area nothing bends.
+    other across the edge. Beside a triangle without area nothing bends. weft: rigidity along the weft [N m], that along the warp
+    by default; warp_angle: see `warp_directions`.
     """
+    lean = 0.0 if rigidity is None or weft is None or rigidity == weft else (rigidity - weft) / (rigidity + weft)
     edge, opposite = hinges(surface.triangles)
     x = surface.vertices
     wide = np.ones(len(edge), dtype=bool)
@@ -69,12 +75,14 @@ def mesh_bends(surface: Surface, rigidity: float | None = None) -> tuple[Bends, 
     normals = np.cross(along, x2 - x0), np.cross(x3 - x0, along)
     double = np.linalg.norm(normals[0], axis=1), np.linalg.norm(normals[1], axis=1)
     apart = np.sum((x3 - x2) ** 2, axis=1)
-    rigid = np.full(len(edge), rigidity)
+    rigid = np.full(len(edge), rigidity if weft is None or rigidity is None else 0.5 * (rigidity + weft))
     if rigidity is None:
         rigid = apart / (2 * length) ** 2 * (double[0] + double[1]) / 2
     sine = np.linalg.norm(np.cross(*normals), axis=1) / (double[0] * double[1])
     flat = (sine < FLAT_HINGE) & (np.einsum("hi,hi->h", *normals) > 0)
-    bends = _flat_bends(surface, edge[flat], opposite[flat], rigid[flat])
+    bends = _flat_bends(surface, edge[flat], opposite[flat], rigid[flat], lean, warp_angle)
+    normal = normals[0] / double[0][:, None] + normals[1] / double[1][:, None]
+    rigid = rigid * _across(lean, warp_directions(normal, warp_angle), along)
     reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian
     folded = ~flat
     change = np.maximum(reach[folded] ** 2, 1e-300)
@@ -82,12 +90,31 @@ def mesh_bends(surface: Surface, rigidity: float | None = None) -> tuple[Bends, 
     return bends, opposite[folded], strength * length[folded] ** 2 * apart[folded] / change
 
 
-def _flat_bends(surface: Surface, edge: Ints, opposite: Ints, rigidity: Floats) -> Bends:
+def warp_directions(normal: Floats, warp_angle: float) -> Floats:
+    """Unit vectors (k, 3) of the warp in planes with these normals (k, 3): nearest to the direction `warp_angle` [rad] from x
+    toward z; where that lies across, to the one a quarter turn on."""
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
+    warp = np.array([np.cos(warp_angle), 0.0, np.sin(warp_angle)])
+    facing = np.abs(normal @ warp) > WARP_ACROSS
+    warp = np.where(facing[:, None], np.array([-np.sin(warp_angle), 0.0, np.cos(warp_angle)]), warp)
+    warp = warp - np.einsum("ki,ki->k", warp, normal)[:, None] * normal
+    return np.asarray(warp / np.maximum(np.linalg.norm(warp, axis=1, keepdims=True), 1e-300))
+
+
+def _across(lean: float, warp: Floats, along: Floats) -> Floats:
+    """Rigidity (k,) against bending across edges `along` (k, d), in parts of the mean, unit vectors of the warp (k, d) given."""
+    square = np.einsum("ki,ki->k", warp, along) ** 2 / np.maximum(np.sum(along**2, axis=1), 1e-300)
+    return np.asarray(1.0 + lean * (1.0 - 2.0 * square))
+
+
+def _flat_bends(
+    surface: Surface, edge: Ints, opposite: Ints, rigidity: Floats, lean: float, warp_angle: float
+) -> Bends:
     """Elements of the triangles beside flat edges (h, 2) with the vertices (h, 2) that face each other across them; rigidity
-    (h,) [N m]."""
+    (h,) [N m]: the mean of those along warp and weft; lean: half their difference in parts of it."""
     if not len(edge):
         return Bends(np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4)), np.zeros(0))
-    mesh = _Flat(surface, edge, opposite, rigidity)
+    mesh = _Flat(surface, edge, opposite, rigidity, lean, warp_angle)
     return _as_bends(surface.vertices, [*mesh.fitted(), mesh.hinges()])
 
 
@@ -95,7 +122,9 @@ class _Flat:
     """Triangles beside flat edges: their neighbours `flaps` (t, 3), -1 where there is none across a side, see `sides`, and their
     rigidity (t,) [N m]."""
 
-    def __init__(self, surface: Surface, edge: Ints, opposite: Ints, rigidity: Floats) -> None:
+    def __init__(
+        self, surface: Surface, edge: Ints, opposite: Ints, rigidity: Floats, lean: float, warp_angle: float
+    ) -> None:
         self.x, self.t = surface.vertices, surface.triangles.astype(np.int64)
         n = len(self.x)
         keys = edge @ [n, 1]
@@ -118,6 +147,8 @@ class _Flat:
         self.area = 0.5 * double
         u = (b - a) / np.maximum(np.linalg.norm(b - a, axis=1), 1e-300)[:, None]
         self.axes = np.stack([u, np.cross(normal / double[:, None], u), normal / double[:, None]], axis=1)
+        self.lean = lean
+        self.warp = np.einsum("tai,ti->ta", self.axes[:, :2], warp_directions(normal, warp_angle))
         self.target = self._targets()
 
     def hinges(self) -> Measures:
@@ -130,7 +161,8 @@ class _Flat:
         at_0, at_1 = (cotangent(x0, x1, x2), cotangent(x0, x1, x3)), (cotangent(x1, x0, x2), cotangent(x1, x0, x3))
         weights = np.stack([at_1[0] + at_1[1], at_0[0] + at_0[1], -at_0[0] - at_1[0], -at_0[1] - at_1[1]], axis=1)
         one, other = (0.5 * np.linalg.norm(np.cross(x1 - x0, end - x0), axis=1) for end in (x2, x3))
-        strength = self.rigidity[some] * one / (one + other) ** 2
+        edge = np.einsum("tai,ti->ta", self.axes[some, :2], x1 - x0)
+        strength = self.rigidity[some] * _across(self.lean, self.warp[some], edge) * one / (one + other) ** 2
         return four, weights, strength
 
     def fitted(self) -> Iterator[Measures]:
@@ -196,12 +228,15 @@ class _Flat:
         """Energies (t, 6) as `products`: all curvature, but that across a side without a neighbour."""
         every = np.arange(len(self.t))
         corners = self._in_plane(every, self.t)[0]
-        target = np.tile(SQUARE, (len(self.t), 1))
+        weft = np.stack([-self.warp[:, 1], self.warp[:, 0]], axis=1)
+        along, across = (_products(_vector(u[:, :, None] * u[:, None])) for u in (self.warp, weft))
+        target = SQUARE + self.lean * (along - across)
         for side in range(3):
-            along = corners[:, (side + 1) % 3] - corners[:, side]
-            across = np.stack([along[:, 1], -along[:, 0]], axis=1)
-            across /= np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
-            left_out = _products(_vector(across[:, :, None] * across[:, None]))
+            edge = corners[:, (side + 1) % 3] - corners[:, side]
+            normal = np.stack([edge[:, 1], -edge[:, 0]], axis=1)
+            normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+            left_out = _products(_vector(normal[:, :, None] * normal[:, None]))
+            left_out *= _across(self.lean, self.warp, edge)[:, None]
             target -= np.where(self.flaps[:, side : side + 1] < 0, left_out, 0.0)
         return target
 

@@ -118,6 +118,29 @@ def test_bending_rigidity_of_a_flat_mesh(cut, moved):
             assert 1.0 - (1.4 if moved < 0.3 else 2.5) / cells < part < 1.01
 
 
+@pytest.mark.parametrize("kind", ["grid", "in turns", "even", "moved"])
+@pytest.mark.parametrize("angle", [0.0, 90.0, 25.0])
+def test_a_fabric_bends_along_warp_and_weft(kind, angle):
+    """Rolled at an angle to the warp it stores B cos^2 + C sin^2, of rigidities B and C along warp and weft; half a row at its
+    border does not bend."""
+    n, size, rigid, soft = 25, (1.0, 0.8 if kind != "even" else np.sqrt(0.75)), 3.0 * RIGIDITY, RIGIDITY
+    cut, moved = ("in turns", 0.2) if kind == "moved" else (kind, 0.0)
+    place = (
+        {"resolution": (n + 1, n + 1), "size": size} if kind == "grid" else {"mesh": mesh_of(size, (n, n), cut, moved)}
+    )
+    scene = Scene(dim=3)
+    shapes.cloth(scene, **place, warp=STRETCH, warp_angle=angle, bending_rigidity=rigid, bending_weft=soft)
+    x, z, radius = scene.position[:, 0], scene.position[:, 2], 3.0
+    for turn in np.pi / 8 * np.arange(-3, 5):
+        along, across = np.cos(turn) * x + np.sin(turn) * z, np.cos(turn) * z - np.sin(turn) * x
+        rolled = np.stack([radius * np.sin(along / radius), radius * (1 - np.cos(along / radius)), across], axis=1)
+        share = np.cos(turn - np.radians(angle)) ** 2
+        part = bending_energy(scene, rolled) / (
+            size[0] * size[1] * (rigid * share + soft * (1 - share)) / (2 * radius**2)
+        )
+        assert 1.0 - 2.0 / n < part < 1.02, (turn, part)
+
+
 @pytest.mark.parametrize(
     ("cut", "moved", "allowed"),
     [("alike", 0.0, 0.01), ("other", 0.0, 0.01), ("in turns", 0.0, 0.03), ("in turns", 0.2, 0.1)],
@@ -151,6 +174,25 @@ def test_a_fold_is_as_stiff_as_a_flat_hinge():
         assert (len(scene.bends), scene.n_springs) == ((1, 5) if angle == 0 else (0, 6))
         bent = hinge(angle + small)
         assert bending_energy(scene, bent) + spring_energy(scene, bent) == pytest.approx(want, rel=1e-3)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_a_hinge_of_a_fabric_is_as_stiff_as_the_fabric_across_it(angle):
+    """Flat or folded, of two triangles: its edge lies along z, so that it bends along x."""
+
+    def hinge(fold):
+        return np.array([[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(fold), 0.4 * np.sin(fold), 0]])
+
+    faces, small, found = np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32), 1e-4, []
+    for fold in (0.0, 1e-3):
+        for weft in (RIGIDITY, 0.25 * RIGIDITY):
+            scene = Scene(dim=3)
+            threads = {"warp": 1e6, "warp_angle": np.degrees(angle), "bending_rigidity": RIGIDITY, "bending_weft": weft}
+            shapes.cloth(scene, mesh=Surface(hinge(fold), faces), **threads)
+            found.append(bending_energy(scene, hinge(fold + small)) + spring_energy(scene, hinge(fold + small)))
+    want = np.cos(angle) ** 2 + 0.25 * np.sin(angle) ** 2
+    assert found[1] / found[0] == pytest.approx(want, rel=1e-6)
+    assert found[3] / found[2] == pytest.approx(want, rel=1e-3)
 
 
 def test_stretch_of_a_mesh():

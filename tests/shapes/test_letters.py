@@ -12,6 +12,7 @@ from taichi_sim.geometry import mesh as meshes
 from taichi_sim.geometry.outlines import drawing_outlines, text_outlines
 from taichi_sim.geometry.polygon_mesh import extruded, filled, outer_edges
 from taichi_sim.scene.cells import cell_volumes
+from taichi_sim.scene.presets import PRESETS
 
 shapely = pytest.importorskip("shapely")
 pytestmark = pytest.mark.once
@@ -145,7 +146,8 @@ def test_jelly_in_2d_falls_as_a_whole():
 def test_cloth_of_a_preset():
     scene = ts.Scene(dim=3)
     word = ts.shapes.text(scene, "L", 1.0, kind="cloth", material="cotton", pinned="border", surface_collision=True)
-    assert scene.mass.sum() == pytest.approx(0.228 * text_outlines("text", "L", 1.0)[0].polygon.area, rel=0.01)
+    area = text_outlines("text", "L", 1.0)[0].polygon.area
+    assert scene.mass.sum() == pytest.approx(PRESETS["cotton"].mass_per_area * area, rel=0.01)
     assert np.ptp(scene.position[word.balls][:, 2]) == 0
     assert scene.solid.all()
     assert 0 < scene.pinned.sum() < scene.n_balls

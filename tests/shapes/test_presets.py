@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 import taichi_sim as ts
 from taichi_sim.cli.main import main
 from taichi_sim.scene.document import document
-from taichi_sim.scene.presets import PRESETS
+from taichi_sim.scene.presets import KES_BENDING, KES_SHEAR, KES_WEIGHT, PRESETS
 
 pytestmark = pytest.mark.once
 
@@ -26,12 +26,47 @@ def test_a_cloth_of_a_preset_is_the_one_with_its_numbers():
     silk = PRESETS["silk"]
     ts.shapes.cloth(named, resolution=(5, 5), material="silk")
     given.add_material("silk", friction=silk.friction)
-    keys = ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity")
+    keys = ("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity", "bending_weft")
     ts.shapes.cloth(given, resolution=(5, 5), material="silk", **{key: getattr(silk, key) for key in keys})
     assert named.materials == given.materials
     for key, column in document(named)[1].items():
         np.testing.assert_array_equal(column, document(given)[1][key], err_msg=key)
     assert named.mass.sum() == pytest.approx(0.069)
+
+
+FABRICS = {name: preset for name, preset in PRESETS.items() if preset.warp is not None}
+
+
+@pytest.mark.parametrize("name", FABRICS)
+def test_a_fabric_has_threads_that_a_sheet_and_a_mesh_take(name):
+    """By warp_angle alone; what is given goes before the preset, and with a warp the threads are all one's own."""
+    known = FABRICS[name]
+
+    def made(**options):
+        scene = ts.Scene(dim=3)
+        ts.shapes.cloth(scene, material=name, warp_angle=30.0, **options)
+        return scene
+
+    mesh = ([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1.0, 0, 1]], [[0, 2, 1], [1, 2, 3]])
+    for scene in (made(resolution=(3, 4)), made(mesh=mesh)):
+        assert scene.n_springs == 0
+        assert scene.mass.sum() == pytest.approx(known.mass_per_area)
+        for key in ("warp", "weft", "shear", "coupling"):
+            assert (getattr(scene, f"membrane_{key}") == (getattr(known, key) or 0.0)).all()
+    assert (made(mesh=mesh, shear=7.0).membrane_shear == 7.0).all()
+    own = made(mesh=mesh, warp=5e3)
+    assert (own.membrane_weft == 5e3).all()
+    assert (own.membrane_shear == 1e3).all()
+    one, other = made(mesh=mesh, bending_rigidity=2e-5), made(mesh=mesh, bending_rigidity=2e-5, bending_weft=2e-5)
+    np.testing.assert_array_equal(one.bend_stiffness, other.bend_stiffness)
+
+
+def test_units_of_fabric_tests():
+    """A strip 1 cm wide bent by 1 gf cm at 1/cm; one sheared by 1 gf/cm at 1 degree; 1 mg on 1 cm^2."""
+    assert pytest.approx(9.80665e-5 / 1e-2 * 1e-2) == KES_BENDING
+    assert pytest.approx(0.980665 * 180 / np.pi) == KES_SHEAR
+    assert pytest.approx(1e-6 / 1e-4) == KES_WEIGHT
+    assert PRESETS["wool"].bending_rigidity == pytest.approx(6.5704555e-06)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -143,7 +178,7 @@ def test_a_material_of_the_scene_goes_before_a_preset():
     scene.add_material("cotton", friction=0.9)
     ts.shapes.cloth(scene, resolution=(3, 3), material="cotton")
     assert scene.materials[1].friction == 0.9
-    assert scene.mass.sum() == pytest.approx(0.2)  # the default, not 0.228
+    assert scene.mass.sum() == pytest.approx(0.2)  # the default, not that of cotton
 
 
 def test_bodies_balls_and_walls(tmp_path):

@@ -33,7 +33,7 @@ LEVELS = 2  # halvings of the spacing
 # what makes a shape the same at every resolution
 MATERIAL = {
     "cloth": (
-        *("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity"),
+        *("mass_per_area", "stretch_stiffness", "shear_stiffness", "bending_rigidity", "bending_weft"),
         *("warp", "young_modulus"),  # of triangles
     ),
     "jelly": ("young_modulus", "density", "poisson_ratio"),
