@@ -229,20 +229,30 @@ class ContactRule(FoundContacts):
 
     @ti.func
     def throw_back(self, h, forces: ti.template()):
-        """Add what the second half of the step's kick by `forces` has more for pairs that bounced in this step."""
-        struck_pairs.throw_back(self, h, forces)
+        """Add what the second half of the step's kick by `forces` has more for balls that bounced off others in this step."""
+        if ti.static(self.plan.throws_back):
+            for i in range(self.n):
+                struck_pairs.note_late_kick(self, i, struck_pairs.late_kick(self, i, forces.change(i, h)))
+            struck_pairs.throw_back(self)
 
     @ti.func
-    def pair_share(self, i, part, kick: ti.template()):
-        """Change [m/s] of ball i beside a part of the kicks (n) of the second half, where it bounced off another in this step."""
-        return struck_pairs.share(self, i, part, kick)
+    def throw_back_part(self, part, kick: ti.template(), foreseen: ti.template()):
+        """Add what impacts of balls in this step throw back of a part of the kicks (n) of the second half; foreseen: beside what
+        was known of them when the balls bounced."""
+        if ti.static(self.plan.throws_back):
+            for i in range(self.n):
+                late = part * kick[i]
+                if ti.static(foreseen):
+                    late = struck_pairs.late_kick(self, i, 2.0 * late)
+                struck_pairs.note_late_kick(self, i, late)
+            struck_pairs.throw_back(self)
 
     @ti.func
     def bounced(self, i):
         """True if ball i has bounced in this step."""
         found = False
         if ti.static(self.plan.throws_back):
-            found = self.struck[i].other != struck_pairs.NO_PARTNER
+            found = struck_pairs.bounced(self, i)
         if ti.static(self.plan.reflects):
             found = found or self.walls.reflected[i].norm_sqr() > 0.0
         return found

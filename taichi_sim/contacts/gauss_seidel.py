@@ -35,10 +35,13 @@ class GaussSeidel(IteratedRule):
         if self.plan.bounces:
             self.since_impact = fields.reals(n)  # s, of the last one on a ball; a step where it had none
         if self.plan.throws_back:
-            # of the last impact in this step: the other ball, (1 + e) times the part of a step since the touch, and the speed
-            # [m/s] along the normal to the other ball that forces had given the pair before
-            columns = {"other": ti.i32, "gain": fields.real, "from_forces": fields.real}
-            self.struck = fields.table(columns | {"normal": ti.types.vector(dim, fields.real)}, n)
+            # impacts of this step in their order: the balls, 1 + e, the part of the step before the touch, and the normal
+            columns = {"one": ti.i32, "other": ti.i32, "gain": fields.real, "part": fields.real}
+            most = struck_pairs.FEW_IMPACTS + struck_pairs.IMPACTS_PER_BALL * n
+            self.struck = fields.table(columns | {"normal": ti.types.vector(dim, fields.real)}, most)
+            self.struck_number = fields.integers(1)
+            # m/s, of what bounced: kick that was not known then, and what is thrown back of it
+            self.late_kick, self.thrown = fields.vectors(n, dim), fields.vectors(n, dim)
         if self.plan.line_search:
             # island: a ball of the same one, in the end its root; island_was_struck: 1 of a root, something bounced in it
             self.island, self.island_was_struck = fields.integers(n), fields.integers(n)
@@ -101,7 +104,6 @@ class GaussSeidel(IteratedRule):
             self.pairs.first_from_others[i] = pair_impacts.NO_CONTACT
         if ti.static(self.plan.bounces):
             self.since_impact[i] = 1.0 / self.rate[0]
-        struck_pairs.clear(self, i)
 
     @ti.func
     def found(self, ball: ti.template(), role: ti.template()):
@@ -110,6 +112,7 @@ class GaussSeidel(IteratedRule):
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
         if ti.static(self.plan.at_search):
+            struck_pairs.clear(self)
             struck_pairs.look_back(self, role == STEP)
             pair_impacts.all_rounds(self, ball, self.friction_part / self.rate[0])
         if ti.static(self.plan.loaded):

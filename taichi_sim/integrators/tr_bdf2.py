@@ -121,7 +121,7 @@ class TRBDF2(Implicit):
                 self.slope[i] = self.slope[i] + self.rest[i] / h
                 self.contacts.record_thrown_back(i, 0.5 * self.rest[i])
                 self.state.kick(i, self.contacts.second_half(i, 0.5 * self.rest[i]))
-                self.state.kick(i, self.contacts.pair_share(i, 0.5, self.rest))
+        self.contacts.throw_back_part(0.5, self.rest, False)
 
     def finishing(self) -> list[Part]:
         """Parts that end a step: the kick to its mean velocity, contacts, the move, the rest of the change, contacts."""
@@ -140,6 +140,7 @@ class TRBDF2(Implicit):
                 if self.contacts.bounced(i):
                     self.struck[self.solver.bodies.of(i)] = 1
                     self.fresh[0] = STRUCK
+        self.contacts.throw_back_part(1.0, self.rest, True)
 
     @ti.func
     def _renew(self, role: ti.template(), h, time):

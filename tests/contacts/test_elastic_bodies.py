@@ -56,6 +56,43 @@ def test_an_elastic_impact_adds_no_energy(kind, target, method, most):
         assert abs(sim.energy().total / start - 1.0) < most
 
 
+def struck(kind):
+    """Bodies at rest, each with a ball that comes down between two or three balls of its upper side."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("steel", restitution=1.0)
+    made_of = {"stiffness": 3e4, "mass": 6.0}
+    if kind == "bricks":
+        made_of = {"young_modulus": 4e4, "poisson_ratio": 0.25, "density": 80.0}
+    for k in range(COUNT):
+        jelly(scene, (0.36, 0.18), (9, 5), position=(APART * k, 0.0), damping=0.0, material="steel", **made_of)
+        at = (APART * k + 0.18 + 0.004 * k, 0.27)
+        scene.add_balls([at], radius=0.055, mass=1.1, velocity=[(0, -SPEED)], material="steel")
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("kind", "method", "loss"),
+    [
+        pytest.param("bricks", "verlet", 0.01, marks=pytest.mark.slow),
+        pytest.param("springs", "verlet", 0.01, marks=pytest.mark.slow),
+        pytest.param("bricks", "tr_bdf2", 0.05, marks=pytest.mark.slow),
+    ],
+)
+def test_two_impacts_in_one_step_add_no_energy(kind, method, loss):
+    """Of one ball with two of a body, on average over the waves that go through it afterwards, of which TR-BDF2 damps the
+    fastest."""
+    with simulate(struck(kind), integrator=method) as sim:
+        start, momentum = sim.energy().total, sim.momentum()
+        sim.run(0.15)
+        after = []
+        for _ in range(20):
+            sim.step(2)
+            after.append(sim.energy().total)
+        assert error(sim.momentum(), momentum, COUNT * 1.1 * SPEED) < (1e-10 if F64 else 1e-4)
+        assert np.all(sim.velocity.reshape(COUNT, -1, 2)[:, -1, 1] > 0.1 * SPEED)
+        assert -loss < np.mean(after) / start - 1.0 < 0.01
+
+
 def test_a_ball_on_a_spring_keeps_bouncing_off_another():
     """Thousands of times, at any part of a step: the energy that the method keeps does not drift."""
     scene, stiffness = ts.Scene(dim=2), np.array([400.0, 900.0, 2500.0])
