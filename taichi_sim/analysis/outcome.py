@@ -35,7 +35,7 @@ DRIVEN = "may add or take energy here, so the energy change is no measure of the
 LATE = 1e-4  # share of the energy of impacts that a step misses, above which it is said
 KEPT, LOST = 0.005, 0.05  # of the energy of what moved
 
-MESH = "the mesh, see `taichi-sim report --resolutions`"
+MESH = "the mesh"
 
 BY_CONTACT = ("restitution", "friction")  # of what takes energy
 STARTS_DEEP = "move apart what overlaps at the start"

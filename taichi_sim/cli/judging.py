@@ -97,8 +97,10 @@ def tune(
     **options: Any,
 ) -> None:
     """Find the method, step and precision that meet a tolerance in SCENE at the least cost."""
+    from taichi_sim.analysis.outcome import has_mesh
     from taichi_sim.reports.speed_error import command
     from taichi_sim.reports.speed_error import tune as tuning
+    from taichi_sim.reports.speed_error.resolution import advice
 
     options |= {"methods": methods, "precision": precision, "tolerance": tolerance, "duration": duration}
     parameters = paths_and_values("--set", options.pop("set") or ())
@@ -113,6 +115,9 @@ def tune(
     settings = tuning.main(made, plan, progress=not quiet, say=echo)
     if settings is None:
         raise typer.Exit(FAILED)
+    if has_mesh(made):
+        for line in advice(file, parameters):
+            echo(line)
     if write:
         tuning.write_settings(file, settings)
         echo(f"written      {file}")

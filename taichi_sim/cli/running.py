@@ -67,6 +67,7 @@ def run(
 ) -> None:
     """Simulate SCENE and write a video, pictures, arrays or files for other programs; without --out show the summary only."""
     from taichi_sim.analysis.frame import frame_count
+    from taichi_sim.analysis.outcome import MESH
     from taichi_sim.outputs import export, open_outputs
 
     job = Job(scene, options)
@@ -98,19 +99,37 @@ def run(
     except BaseException as ended:
         for name, target in zip(names, targets):
             if isinstance(ended, UnstableError) and target.frames:
-                echo(f"{name}: holds the {target.frames} frames until then", err=True)
+                echo(f"{name}: holds the {_frames(target.frames)} until then", err=True)
                 continue
             target.discard()
-            if target.path is not None and target.frames:
-                kept = "and a checkpoint are kept" if target.log.checkpoint is not None else "are kept"
-                echo(f"{name}: {target.frames} frames {kept}; --resume goes on with them", err=True)
-            elif target.simulated:
-                says = f"{target.simulated} frames are simulated, and kept; --resume goes on with them"
+            if says := _kept(target, error):
                 echo(f"{name}: {says}", err=True)
         raise
     if not quiet:
         written = [target.pattern or name for name, target in zip(names, targets)]
-        echo("\n".join([*summary.lines(), *(f"written      {name}" for name in written)]))
+        lines = [*summary.lines(), *(f"written      {name}" for name in written)]
+        if MESH in summary.left_out:
+            from taichi_sim.reports.speed_error.resolution import advice
+
+            lines += advice(job.file, job.parameters)
+        echo("\n".join(lines))
+
+
+def _kept(target: Any, error: bool) -> str:
+    """Words on what is kept of an output whose run was interrupted; empty where nothing is. error: its error was asked for."""
+    on = "--resume without --error goes on with" if error else "--resume goes on with"
+    whole = target.path is not None and target.frames
+    number = target.frames if whole else target.simulated
+    if not number:
+        return ""
+    are, them = ("is", "it") if number == 1 else ("are", "them")
+    if whole and target.log.checkpoint is not None:
+        return f"{_frames(number)} and a checkpoint are kept; {on} them"
+    return f"{_frames(number)} {are} {'kept' if whole else 'simulated, and kept'}; {on} {them}"
+
+
+def _frames(number: int) -> str:
+    return f"{number} frame{'s' * (number != 1)}"
 
 
 def _to_resume(names: Sequence[str], targets: Sequence[Any], count: int) -> tuple[list[str], list[Any]]:
@@ -229,7 +248,7 @@ def render(
         say=say_nothing if quiet else echo,
     )  # fmt: skip
     if not quiet:
-        echo("\n".join(f"written      {name}: {count} frames" for name in out))
+        echo("\n".join(f"written      {name}: {_frames(count)}" for name in out))
 
 
 @subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")

@@ -1,7 +1,7 @@
 """Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; of methods of
 order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan, sqrt
@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
 from taichi_sim.common.errors import SceneError, UnstableError
+from taichi_sim.common.quantities import measured
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
 __all__ = ["Companion", "StepError"]
 
 ROUNDING = {"f32": 2.0**-24, "f64": 2.0**-53}  # of a number of its size
 CERTAIN = 8.0  # times the rounding of a number: differences above that are not of rounding alone
+NAMED = 2  # quantities with extremes between frames
 LAST = 8  # part of the frames by which the error of the last is judged
 
 
@@ -107,6 +109,20 @@ class Companion:
             runs=len(runs),
         )
 
+    def between_frames(self, error: StepError, units: Mapping[str, str]) -> Iterator[str]:
+        """Words on extremes that lie between frames, where no run reads the probes; with names where neighbours of a frame with
+        an extreme differ from it by more than the error stated for the least or largest value."""
+        values = _by_name([probes for _, probes in self._readings])
+        moving = {name: run for name, run in values.items() if _summed_up(run)[1] < _summed_up(run)[2]}
+        if not moving:
+            return
+        steep = {name: _beside_extremes(run) for name, run in moving.items()}
+        wide = [name for name in steep if steep[name] > max(error.probes.get(name, (np.inf,))[1:], default=np.inf)]
+        changes = [f"{name} by {measured(steep[name], unit=units.get(name, ''))}" for name in wide[:NAMED]]
+        more = f" and {len(wide) - NAMED} more" if len(wide) > NAMED else ""
+        detail = f", where from one frame to the next {', '.join(changes)}{more} change: raise --fps" if wide else ""
+        yield f"extremes between frames{detail}"
+
     def _repeat(self, again: Any, free: NDArray, advance: Callable[[int, float], None]) -> _Run:
         """Run to the end of the first run, and read at its frames."""
         found: list[dict[str, float]] = []
@@ -144,6 +160,12 @@ def _by_name(readings: list[dict[str, float]]) -> dict[str, list[float]]:
     """Numbers at all frames, by name."""
     names = readings[0] if readings else {}
     return {name: [probes[name] for probes in readings] for name in names}
+
+
+def _beside_extremes(run: list[float]) -> float:
+    """Largest difference between the least or largest value and those beside it; 0 where both stand at an end."""
+    inside = [at for at in (int(np.nanargmin(run)), int(np.nanargmax(run))) if 0 < at < len(run) - 1]
+    return max((float(np.nanmax(np.abs(np.diff(run[at - 1 : at + 2])))) for at in inside), default=0.0)
 
 
 def _rms(values: NDArray) -> float:

@@ -529,9 +529,8 @@ def export(
             bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
             summary.step_error = companion.compare(simulation, bar.advance)
             at_touch = simulation.setup.at_touch
-            summary.left_out = list(
-                left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
-            )
+            others = left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
+            summary.left_out = [*others, *companion.between_frames(summary.step_error, summary.units)]
             clock.charge("simulating")
     clock.charge("writing")
     return summary

@@ -493,9 +493,7 @@ def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
     finally:
         running.kill()  # does nothing to one that has ended
     assert running.returncode == status
-    said = [
-        line for line in err.splitlines() if "--resume goes on with them" not in line
-    ]  # where one was drawn by then
+    said = [line for line in err.splitlines() if "--resume goes on with" not in line]  # where one was drawn by then
     assert "\n".join(said).strip() == words
     shutil.rmtree(folder / ".x.mp4.resume", ignore_errors=True)
     assert names(folder) == ["ball.toml", "stiff.toml"]

@@ -57,7 +57,7 @@ def test_the_mesh_is_named_beside_the_number():
     numbers = [line for line in lines if "+-" in line]
     assert len(numbers) == 3
     assert all("step and rounding; the mesh is not included" in line for line in numbers)
-    assert any("not included: the mesh, see `taichi-sim report --resolutions`" in line for line in lines)
+    assert any("not included: the mesh; extremes between frames" in line for line in lines)
 
 
 def test_the_start_that_has_not_settled_is_named():
@@ -219,6 +219,29 @@ def test_events_anywhere_within_a_step():
     part = np.random.default_rng(4).random((20_000, 3)) * [1.0, 0.5, 0.25]
     stated = np.array([error_of_events(abs(a - b), abs(b - c)) for a, b, c in part])
     assert np.mean(stated >= part[:, 0]) > 0.985
+
+
+@pytest.mark.once
+def test_extremes_between_frames_are_not_included():
+    """A tension m g (1 - cos w t) that frames sample near no peak is named with its change; one that stays is not."""
+    scene = weights()
+    scene.probes[:] = scene.probes[:1]
+    with ts.Simulation(scene, dt=1e-4, contacts="off") as sim:
+        summary = export(sim, None, fps=10, duration=0.8, error=True)
+    load = MASS[0] * G * (1.0 - np.cos(np.sqrt(STIFFNESS[0] / MASS[0]) * np.arange(9) / 10.0))
+    top = int(np.argmax(load))
+    low = int(np.argmin(load[1:])) + 1
+    assert summary.probes["w0.tension"][2] == pytest.approx(load[top], rel=1e-3)
+    said = next(line for line in summary.lines() if "not included:" in line)
+    assert "extremes between frames, where from one frame to the next w0.tension by " in said
+    stated = float(said.split("w0.tension by ")[1].split()[0])
+    beside = [abs(load[k] - load[k + side]) for k in (top, low) for side in (-1, 1) if 0 <= k + side < 9]
+    assert any(stated == pytest.approx(one, rel=2e-2) for one in beside)
+    held = weights(settled=True)
+    held.probes[:] = held.probes[:1]
+    with ts.Simulation(held, dt=1e-4, contacts="off") as sim:
+        lines = export(sim, None, fps=10, duration=0.2, error=True).lines()
+    assert not any("change: raise" in line for line in lines)
 
 
 @pytest.mark.once

@@ -486,11 +486,11 @@ def test_few_of_many_equal_runs_are_named():
 
 
 def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one():
-    about = {"name": "motion", "unit": "m", "value": 0.8, "time": 1.0, "method": "verlet", "step_length": 1e-3}
+    about = {"name": "motion", "unit": "m", "value": 0.8, "method": "verlet", "step_length": 1e-3}
     line = next(budget.Budget(**about, step=3e-16, single=2e-6, meshed=False).lines())
     assert "800.000 +- 0.002 mm (single precision), step exact to rounding." in line
     line, more, *_ = budget.Budget(**about, step=1e-4, single=2e-3, meshed=False, precision="f64").lines()
-    assert "the scene's own settings in double precision, " in line
+    assert "the scene's own settings in double precision:" in line
     assert line.endswith("800.00 +- 0.10 mm (step).")
     assert more == "Single precision, which the scene does not use, would add +- 2.00 mm."
     assert "single" not in next(budget.Budget(**about, meshed=False, precision="f64").lines())

@@ -67,7 +67,7 @@ def test_tune_names_the_mesh_that_its_error_leaves_out(monkeypatch):
     monkeypatch.setattr(tune, "TrialProcesses", lambda *_: MadeUp(scene))
     tune.main(scene, plan(methods=("verlet",), tolerance=0.05), progress=False, say=said.append)
     left = said[2].splitlines()[1]
-    assert left == "             not included: the mesh, see `taichi-sim report --resolutions`"
+    assert left == "             not included: the mesh"
 
 
 def test_check_knows_what_an_undamped_spring_allows():

@@ -25,14 +25,12 @@ class Budget:
     """Parts of an error, in the unit of what is compared; None: not measured, or not known. Each is the largest at the
     moments compared.
 
-    value: of the quantity, the largest at these moments, or how far it has gone; of positions, the largest rms displacement.
-    time: of the last moment. order: of the mesh, as observed. precision: the scene's own.
+    value: of what `name` says. order: of the mesh, as observed. precision: the scene's own.
     """
 
     name: str
     unit: str
     value: float
-    time: float  # s
     method: str
     step_length: float  # s
     step: float | None = None
@@ -62,7 +60,7 @@ class Budget:
         words += [f"{name} not known" for name, value in parts.items() if value is None]
         own = "the scene's own settings" + " in double precision" * double
         yield (
-            f"{self.name} with {self.method} at {self.step_length:.3g} s, {own}, at most until {self.time:.3g} s:"
+            f"{self.name[:1].upper()}{self.name[1:]}, with {self.method} at {self.step_length:.3g} s, {own}:"
             f" {', '.join(words)}."
         )
         if double and self.single is not None:
@@ -97,11 +95,10 @@ def made(
         value, name = float(np.max(reference.displacement[:parts])), f"motion of {compared.name}"
     elif compared.quantity is not None:
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
-    until = trials.plan.duration * parts / PARTS
     meshed = bool(trials.scene.n_springs or trials.scene.n_volumes())
     precision = trials.scene.settings.get("precision") or "f32"
     return Budget(
-        *(name, compared.unit, value, until, method, step.seconds, off),
+        *(compared.sampled(name, parts), compared.unit, value, method, step.seconds, off),
         single=rounded,
         meshed=meshed,
         precision=precision,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.probe_readings import quantity_of
-from taichi_sim.reports.speed_error.plan import Plan
+from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.scene.scene import Scene
 
 Floats = NDArray[np.float64]
@@ -37,7 +37,7 @@ class Compared:
     """
 
     def __init__(self, scene: Scene, plan: Plan) -> None:
-        self.scene = scene
+        self.scene, self.plan = scene, plan
         self.quantity = None if plan.quantity is None else quantity_of(scene, plan.quantity)
 
     @property
@@ -66,10 +66,15 @@ class Compared:
             return np.full(len(values), energy)
         return np.linalg.norm(values - (outcome.begin if self.quantity.from_start else 0.0), axis=1)
 
-    def size_in_words(self) -> str:
-        """Name of the size that errors are relative to."""
+    def size_in_words(self, parts: int) -> str:
+        """Name of the size that errors are relative to. parts: of the duration, at whose ends it was looked for."""
         if self.quantity is None:
-            return "rms displacement of the balls"
+            return self.sampled("rms displacement of the balls", parts)
         if self.quantity.of_energy:
-            return "largest kinetic and spring energy"
-        return f"{'largest motion' if self.quantity.from_start else 'peak'} of {self.name}"
+            return self.sampled("kinetic and spring energy", PARTS)
+        return self.sampled(f"{'motion of ' if self.quantity.from_start else ''}{self.name}", parts)
+
+    def sampled(self, what: str, parts: int) -> str:
+        """Name of the largest value seen at the ends of parts of the duration, which may miss a peak between them."""
+        until = self.plan.duration * parts / PARTS
+        return f"largest {what} at {parts} sample {'time' if parts == 1 else 'times'} up to {until:.3g} s"

@@ -100,7 +100,7 @@ class Findings:
             yield f"{compared.name} stays 0 all along: there is nothing that an error could be relative to."
         elif reference.parts:
             yield (
-                f"Errors are of {compared.name}, relative to the {compared.size_in_words()},"
+                f"Errors are of {compared.name}, relative to the {compared.size_in_words(reference.parts)},"
                 f" {measured(reference.motion, unit=compared.unit)}."
             )
             yield (

@@ -6,7 +6,7 @@ compared. Balls that the file names go with it; between two that are pinned or l
 
 import copy
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -63,6 +63,28 @@ class Finer:
 def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None = None) -> list[Finer]:
     """The scene of a file, with other values by their paths, with 1/2, 1/4, ... of its spacing. Raises SceneError where nothing,
     or not all, can be refined."""
+    document = _document(file, parameters)
+    found: list[Finer] = []
+    balls: Ints | None = None
+    for _ in range(levels):
+        level = _Level(file, document)
+        document = level.refined()
+        scene = _read(file, document)[0]
+        balls = level.everywhere if balls is None else level.everywhere[balls]
+        found.append(Finer(settled_scene(scene) if scene.settings.get("settle") else scene, balls))
+    return found
+
+
+def advice(file: Path, parameters: Mapping[str, Any] | None = None) -> Iterator[str]:
+    """A line on the command that estimates the error of a scene's mesh; none where it would refuse."""
+    try:
+        _Level(file, _document(file, parameters)).refined()
+    except SceneError:
+        return
+    yield f"{'':12} `taichi-sim report {file} --resolutions` estimates the error of the mesh"
+
+
+def _document(file: Path, parameters: Mapping[str, Any] | None) -> dict[str, Any]:
     if file.suffix != ".toml":
         raise SceneError(
             f"--resolutions: {file} is Python, whose shapes have one resolution; a scene file's can be refined"
@@ -73,15 +95,7 @@ def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None
     for name in BY_HAND:
         if name in document:
             raise SceneError(f"--resolutions: {file}: [[{name}]] names balls by hand, which a finer mesh does not have")
-    found: list[Finer] = []
-    balls: Ints | None = None
-    for _ in range(levels):
-        level = _Level(file, document)
-        document = level.refined()
-        scene = _read(file, document)[0]
-        balls = level.everywhere if balls is None else level.everywhere[balls]
-        found.append(Finer(settled_scene(scene) if scene.settings.get("settle") else scene, balls))
-    return found
+    return document
 
 
 def _read(file: Path, document: dict[str, Any]) -> tuple[Scene, dict[str, NDArray[np.int32]]]:

@@ -65,7 +65,7 @@ def main(
     if not rows:
         say(
             f"no method and step within --limit {plan.most:g} s keeps the error of {compared.name} below {allowed},"
-            f" {percent(plan.tolerance)} of the {compared.size_in_words()}, in the first {until:.3g} s"
+            f" {percent(plan.tolerance)} of the {compared.size_in_words(reference.parts)}"
         )
         return None
     row = rows[0]
@@ -91,7 +91,7 @@ def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, t
     """Lines of the outcome: the value with its error, what error was allowed, what was found, and its cost."""
     off, unit = row.rms_error or 0.0, compared.unit
     value = measured(reference.motion, off, unit, "step")
-    yield f"{'value':12} {compared.size_in_words()}: {value}"
+    yield f"{'value':12} {compared.size_in_words(reference.parts)}: {value}"
     if errors := list(left_out(scene)):
         yield not_included(errors)
     yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of it"
