@@ -1,15 +1,17 @@
 """Meshes that are too coarse: what is said of them, against what bars, arcs and folds do."""
 
+import itertools
+
 import numpy as np
 import pytest
 from statics import forces
 
 import taichi_sim as ts
 from taichi_sim.analysis.accuracy import Setup, findings
-from taichi_sim.analysis.coarse_meshes import bent_findings, few_across, ropes
+from taichi_sim.analysis.coarse_meshes import bent_findings, beyond_bricks, few_across, ropes
 from taichi_sim.analysis.methods import VERLET
 from taichi_sim.geometry.mesh import Surface
-from taichi_sim.shapes.jelly_material import springs_of
+from taichi_sim.scene.cells import cell_volumes
 
 pytestmark = pytest.mark.once
 
@@ -108,6 +110,16 @@ def beam(scene, x, long, high, wide, mu, poisson):
     return exact / moved.reshape(x.shape)[end, 1].mean() - 1.0
 
 
+def springs_of(x, cells):
+    """Springs (m, 2) along the edges of triangles or tetrahedra, and their stiffness (m,) [N/m] for mu = 1 (Van Gelder 1998)."""
+    both = list(itertools.combinations(range(cells.shape[1]), 2))
+    ends = np.concatenate([cells[:, pair] for pair in both])
+    pairs, same = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+    around = np.bincount(same.reshape(-1), np.tile(np.abs(cell_volumes(x, cells)), len(both)))
+    square = np.sum((x[pairs[:, 1]] - x[pairs[:, 0]]) ** 2, axis=1)
+    return pairs, (2.5 if x.shape[1] == 3 else 8 / 3) * around / square
+
+
 def bar(dim, layers, poisson):
     """A bar of triangles or tetrahedra of springs and cells, held at one end, and how much it is too stiff there."""
     long, high = 0.9, 0.09
@@ -124,13 +136,13 @@ def bar(dim, layers, poisson):
     x = grid * size / count
     edges = x[cells[:, 1:]] - x[cells[:, :1]]
     cells[np.linalg.det(edges) < 0] = cells[np.linalg.det(edges) < 0][:, [1, 0, *range(2, dim + 1)]]
-    body = springs_of(x, cells)
+    pairs, stiffness = springs_of(x, cells)
     mu = 5e3
     lam = 2.0 * mu * poisson / (1.0 - (dim - 1) * poisson)
-    balls = scene.add_balls(body.points, radius=1e-3, mass=1.0, pinned=x[:, 0] == 0.0)
+    balls = scene.add_balls(x, radius=1e-3, mass=1.0, pinned=x[:, 0] == 0.0)
     scene.new_object("jelly", balls)
-    scene.add_springs(body.pairs, stiffness=mu * body.stiffness)
-    scene.add_cells(body.cells, bulk_modulus=lam - mu, crush_modulus=0.0)
+    scene.add_springs(pairs, stiffness=mu * stiffness)
+    scene.add_cells(cells, bulk_modulus=lam - mu, crush_modulus=0.0)
     return scene, beam(scene, x, long, high, 1.0 if dim == 2 else size[2], mu, poisson)
 
 
@@ -176,3 +188,33 @@ def test_boxes_and_what_is_straight_say_nothing():
         scene, mesh=Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])), bending_rigidity=1.0
     )
     assert said(scene) == []
+
+
+def spindle(length):
+    """Two square pyramids on one base of 0.3 m, whose tips are `length` [m] from it."""
+    base = [[0.15, 0, 0.15], [0.15, 0, -0.15], [-0.15, 0, -0.15], [-0.15, 0, 0.15]]
+    tips = [[0, length, 0], [0, -length, 0]]
+    faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
+    return Surface(np.array(base + tips, dtype=float), np.array(faces, dtype=np.int32))
+
+
+def test_a_mesh_with_tips_that_no_brick_fills():
+    """What is said is the distance of the tip from the nearest brick; the spacing that is advised leaves nothing to be said."""
+    scene = ts.Scene(dim=3)
+    body = ts.shapes.jelly(scene, mesh=spindle(0.6), spacing=0.08, rotation=(20, 0, 30), position=(1, 2, 3))
+    ((what, cure),) = beyond_bricks(scene)
+    far = scene.embedded_surfaces[0]
+    tip = far.weights[4] @ scene.position[far.corners[4]]
+    box = scene.position[scene.bricks].mean(axis=1)
+    axes = scene.position[scene.bricks[0]][[4, 2, 1]] - scene.position[scene.bricks[0]][0]
+    off = np.abs((tip - box) @ (axes / 0.08).T) - 0.04
+    reach = np.linalg.norm(np.maximum(off, 0.0), axis=1).min()
+    assert what.startswith("the mesh of jelly_0 reaches up to")
+    assert number(what, "up to ", " m beyond") == pytest.approx(reach, rel=0.01)
+    assert len(body.balls) == scene.n_balls
+    spacing = number(cure, "<= ", " or fill")
+    assert spacing < 0.08
+    for better in ({"spacing": spacing}, {"fill": "tetrahedra"}):
+        scene = ts.Scene(dim=3)
+        ts.shapes.jelly(scene, mesh=spindle(0.6), **better)
+        assert not list(beyond_bricks(scene))
