@@ -94,7 +94,11 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
             )
         yield from _cloth(scene)
     yield from _cells(scene)
-    for what, cure in (*coarse_meshes.bent_findings(scene), *coarse_meshes.few_across(scene)):
+    for what, cure in (
+        *coarse_meshes.bent_findings(scene),
+        *coarse_meshes.few_across(scene),
+        *coarse_meshes.beyond_bricks(scene),
+    ):
         yield Finding("mesh", what, cure)
     yield from _turning(scene, setup)
     if setup.precision == "f32" and scene.n_balls:

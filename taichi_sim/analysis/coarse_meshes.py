@@ -24,7 +24,7 @@ from taichi_sim.common.quantities import percent
 from taichi_sim.scene.objects import SceneObject, owner
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["bent_findings", "few_across", "ropes"]
+__all__ = ["bent_findings", "beyond_bricks", "few_across", "ropes"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -37,6 +37,7 @@ ONE, TWO = 0.03, 0.2  # part of the balls inside a body: at most so many with on
 LOCKS = 0.49  # Poisson's ratio in three dimensions, above which two layers are too stiff
 BOXES = {2: (2.0, 0.46), 3: (2.1, 0.7)}  # c and d
 TOO_STIFF = 0.02  # of a stiffness, from which it is reported
+TOO_FAR = 1 / 16  # of the size of a mesh, a default brick: beyond its bricks, from which it is reported
 
 
 class _Bend(NamedTuple):
@@ -59,6 +60,26 @@ def bent_findings(scene: Scene) -> Iterator[tuple[str, str]]:
         if found.angle > SMOOTH:
             wanted = found.piece * SMOOTH / found.angle
             yield _bent(name, found), f"take balls {wanted:.2g} m apart there for 1 %"
+
+
+def beyond_bricks(scene: Scene) -> Iterator[tuple[str, str]]:
+    """Sentence and cure for each mesh that is drawn farther out than the bricks that move it reach."""
+    of, bit = _objects(scene), np.array(list(itertools.product((0.0, 1.0), repeat=scene.dim)))
+    place = {row.tobytes(): k for k, row in enumerate(scene.bricks)} if scene.embedded_surfaces else {}
+    for surface in scene.embedded_surfaces:
+        brick = np.array([place.get(row.tobytes(), -1) for row in surface.corners])
+        if (brick < 0).any():
+            continue
+        along = surface.weights @ bit  # of a brick, in parts of its sides
+        size = scene.brick_size[brick]
+        reach = float(np.linalg.norm((along - np.clip(along, 0.0, 1.0)) * size, axis=1).max())
+        vertices = np.einsum("sk,ski->si", surface.weights, scene.position[surface.corners])
+        right = TOO_FAR * float(np.ptp(vertices, axis=0).max())
+        if reach > right:
+            name = scene.objects[of[surface.corners[0, 0]]].name
+            spacing = float(size.max()) * right / reach
+            says = f"the mesh of {name} reaches up to {reach:.2g} m beyond its bricks, which alone collide"
+            yield says, f'take spacing <= {spacing:.2g} or fill = "tetrahedra"'
 
 
 def ropes(scene: Scene) -> list[SceneObject]:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from taichi_sim.analysis import late_impacts, turning
+from taichi_sim.analysis.coarse_meshes import beyond_bricks
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
 from taichi_sim.analysis.outcome import (
@@ -82,6 +83,7 @@ class Summary:
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
     inverted: tuple[int, int] = (0, 0)  # cells at the end, and the most at a frame
+    beyond: list[str] = field(default_factory=list)  # meshes that are drawn farther out than what moves them
     crossings: int | None = 0  # edges in triangles at the end, where those let things through; None: not counted
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
@@ -166,6 +168,7 @@ class Summary:
             lines.append(
                 f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
             )
+        lines += [f"mesh         {said}" for said in self.beyond]
         if self.crossings is None:
             lines.append(f"crossings    of surfaces not counted, there are too many triangles; {KEEPS_APART}")
         elif self.crossings:
@@ -512,6 +515,7 @@ def export(
         torn = simulation.torn
         if torn is not None:
             summary.torn = int(np.count_nonzero(torn)), int(np.isfinite(simulation.scene.break_strain).sum())
+        summary.beyond = ["; ".join(one) for one in beyond_bricks(simulation.scene)]
         if simulation.scene.n_volumes():
             _count_inverted(summary, simulation.inverted())
         if simulation.scene.dim == 3 and not simulation.scene.solid.all():

@@ -25,6 +25,7 @@ __all__ = ["Overlaid", "open_renderer"]
 
 ORDER = (0, 3, 1, 2, 5, 6, 7)  # of the palette, for curves
 DARK_STAGES, DARK_BACKGROUND = ("studio", "blueprint"), 0.4
+LEAST_ROOM = 8.0  # of the height of the letters: rows of text are never narrower
 MOST_TEXT = 0.25  # of the height of the picture
 BAR = 0.2  # of the width of the picture: a scale bar is at most so long
 
@@ -133,7 +134,10 @@ class Overlaid:
             self._mark(picture, mark, frame.time)
         margin = 0.6 * self._text
         corner = {"top left": margin, "top right": margin, "bottom left": margin, "bottom right": margin}
-        panels = [(self.overlay.plot, self._curves()), ("top left", self._words(frame)), ("bottom left", self._bar())]
+        plot = self._curves()
+        taken = plot.width + margin if plot is not None and self.overlay.plot == "top right" else 0.0
+        words = self._words(frame, picture.width - 2 * margin - taken)
+        panels = [(self.overlay.plot, plot), ("top left", words), ("bottom left", self._bar())]
         panels.append(("top right" if self.overlay.plot == "bottom right" else "bottom right", self._legend))
         for place, panel in panels:  # those in one corner lie one beyond the other
             if panel is not None:
@@ -153,8 +157,8 @@ class Overlaid:
         times = times if times[1] > times[0] else (times[0], times[0] + 1.0)  # of a lone moment
         if self._plot is None or self._plot[0] != (times, reach):
             margin = 1.2 * self._text
-            sides = zip(self.renderer.size, self.overlay.plot_size)
-            size = tuple(max(1.0, share * side - margin * (share > 0.9)) for side, share in sides)
+            sides = zip(self.renderer.size, self.overlay.plot_size, Plot.least_size(self._text, len(curves)))
+            size = tuple(max(1.0, min(max(share * side, least), side - margin)) for side, share, least in sides)
             label = self.overlay.plot_label
             if label is None:
                 label = ", ".join(dict.fromkeys(f"[{unit}]" for one in curves if (unit := self._units.get(one.of))))
@@ -166,12 +170,16 @@ class Overlaid:
     def _until_now(self) -> tuple[float, float]:
         """Times that axes reach which do not know the end of the run: from the first to a round number."""
         first = self._times[0]
-        expected = [np.asarray(one.expected)[-1, 0] for one in self.overlay.curves if one.expected is not None]
-        return first, float(max([first + nice_step(max(self._times[-1] - first, 1e-9), 1.0), *expected]))
+        ends = [np.asarray(one.expected)[-1, 0] for one in self.overlay.curves if one.expected is not None]
+        if self._times[-1] > first:
+            ends.append(first + nice_step(self._times[-1] - first, 1.0))
+        return first, float(max(ends, default=first))
 
-    def _words(self, frame: Frame) -> Panel | None:
-        """Title, clock and values without a curve."""
-        rows = [self.overlay.title] if self.overlay.title else []
+    def _words(self, frame: Frame, room: float) -> Panel | None:
+        """Title, clock and values without a curve, in rows that are no wider than the room."""
+        text = self._text
+        most = max(room, LEAST_ROOM * text) - 1.4 * text
+        rows = Panel.wrapped(self.overlay.title, text, most) if self.overlay.title else []
         if self.overlay.clock:
             rows.append(f"t = {written(frame.time, 2)} s")
         for k, one in enumerate(self.overlay.probes):
@@ -182,7 +190,7 @@ class Overlaid:
                 rows.append(f"{label_of(one)}: {written(self._values[-1][k], places)} {unit}".rstrip())
         if not rows:
             return None
-        text = self._text
+        rows = [Panel.shortened(row, text, most) for row in rows]
         width = min(max(Panel.length(row, text) for row in rows) + 1.4 * text, self.renderer.size[0])
         panel = Panel((width, (1.35 * len(rows) + 0.5) * text), text, self._tints.ground)
         for k, row in enumerate(rows):
@@ -196,7 +204,7 @@ class Overlaid:
         length = nice_step(BAR * self.renderer.size[0] / scale, 1.0)
         if length * scale > BAR * self.renderer.size[0]:
             length = nice_step(length / 2.5, 1.0)
-        words, pixels = f"{length:g} m", length * scale
+        words, pixels = f"{length:g} m".replace("-", "\u2212"), length * scale
         width = max(Panel.length(words, text), pixels) + 1.4 * text
         panel = Panel((width, 2.3 * text), text, self._tints.ground)
         panel.text((width / 2, 0.85 * text), words, self._tints.text, "mm")

@@ -101,6 +101,27 @@ class Panel:
         return float(_font(max(1, round(FINER * text))).getlength(steady)) / FINER
 
     @staticmethod
+    def shortened(words: str, text: float, most: float) -> str:
+        """Words that are at most so wide [pixels], cut off at their end, with an ellipsis, where they are wider."""
+        if Panel.length(words, text) <= most:
+            return words
+        room = most - Panel.length("\u2026", text)
+        kept = next((k for k in range(len(words), 0, -1) if Panel.length(words[:k], text) <= room), 0)
+        return words[:kept].rstrip() + "\u2026"
+
+    @staticmethod
+    def wrapped(words: str, text: float, most: float) -> list[str]:
+        """Rows of words, each at most so wide [pixels]."""
+        rows = [""]
+        for word in words.split():
+            longer = f"{rows[-1]} {word}".lstrip()
+            if rows[-1] and Panel.length(longer, text) > most:
+                rows.append(word)
+            else:
+                rows[-1] = longer
+        return [Panel.shortened(row, text, most) for row in rows]
+
+    @staticmethod
     def _scaled(place: tuple[float, float]) -> tuple[float, float]:
         return FINER * place[0], FINER * place[1]
 
@@ -113,9 +134,13 @@ def nice_step(span: float, parts: float) -> float:
 
 
 def ticks(low: float, high: float, parts: float) -> tuple[list[float], int]:
-    """Round numbers from low to high, and how many decimals they need."""
-    step = nice_step(high - low, parts)
-    first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+    """Round numbers from low to high, two at least, and how many decimals they need. parts: how many parts there are at most
+    between them, where two are among so few."""
+    for finer in (1.0, 2.0, 4.0, 8.0):
+        step = nice_step(high - low, finer * parts)
+        first, last = math.ceil(low / step - 1e-6), math.floor(high / step + 1e-6)
+        if last > first:
+            break
     return [k * step for k in range(first, last + 1)], decimals(step)
 
 

@@ -18,6 +18,7 @@ __all__ = [
     "Bounds",
     "Camera",
     "Flat",
+    "embedded_vertices",
     "ground_planes",
     "near_boxes",
     "robust_bounds",
@@ -160,6 +161,17 @@ def _meet(box: tuple[Floats, Floats], low: Floats, high: Floats) -> bool:
     return bool(np.all(box[0] < high) and np.all(box[1] > low))
 
 
+def embedded_vertices(frame: Frame, bounds: Bounds) -> Floats:
+    """A sample (k, dim) of the vertices of embedded surfaces that follow balls within the bounds."""
+    found = [np.zeros((0, frame.position.shape[1]))]
+    for surface in frame.embedded_surfaces:
+        every = max(1, len(surface.corners) // SAMPLED_BALLS)
+        balls = frame.position[surface.corners[::every]]
+        near = np.all((balls[:, 0] >= bounds.low) & (balls[:, 0] <= bounds.high), axis=1)
+        found.append(np.einsum("sk,ski->si", surface.weights[::every], balls)[near])
+    return np.concatenate(found)
+
+
 def ground_planes(frame: Frame) -> Floats:
     """Walls of a 3D frame that face mostly upward, at most four: (k, 4) unit normal and offset."""
     if frame.walls.size == 0:
@@ -196,7 +208,7 @@ def _back(azimuth: float, elevation: float) -> Floats:
 
 
 def _content(frame: Frame) -> tuple[Floats, Floats]:
-    """Points and radii that the picture must hold: a sample of the balls, and their feet on walls that are near."""
+    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and their feet on walls nearby."""
     seen = np.ones(len(frame.position), dtype=bool)
     seen[frame.torn_triangles] = False
     seen[frame.triangles] = True
@@ -205,7 +217,9 @@ def _content(frame: Frame) -> tuple[Floats, Floats]:
     bounds, kept = robust_bounds(position, radius)
     if len(position) == 0:
         return np.stack([bounds.low, bounds.high]), np.zeros(2)
-    points, sizes = position[kept], radius[kept]
+    drawn = embedded_vertices(frame, bounds)
+    points = np.concatenate([position[kept], drawn])
+    sizes = np.concatenate([radius[kept], np.zeros(len(drawn))])
     for plane in frame.walls if frame.walls.size else ():
         height = points @ plane[:3] - plane[3]
         if 0 < height.min() < 1.2 * bounds.size:

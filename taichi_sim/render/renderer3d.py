@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.kernels.render import occlusion, raster, shading_pass, shadow, shadow_lattice
-from taichi_sim.render.camera import Bounds, Camera, ground_planes, near_boxes, robust_bounds, view_matrix
+from taichi_sim.render.camera import (
+    Bounds,
+    Camera,
+    embedded_vertices,
+    ground_planes,
+    near_boxes,
+    robust_bounds,
+    view_matrix,
+)
 from taichi_sim.render.canvas import Canvas, Planes, matrix_of, vector_of
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.content import Content
@@ -209,12 +217,12 @@ class Renderer3D:
             raster.draw_triangles(b.ball, b.corner, *styles, seen, samples, v, width, height, b.triangles)
 
     def _extent(self, frame: Frame, most: float) -> Bounds:
-        """Bounds of what shadows are made for: the balls, and the colliders near them or in sight. They reach at most `most`
-        [m] from the camera's target: a ball flung away farther would leave no detail to all others' shadows."""
+        """Bounds of what shadows are made for: balls, embedded surfaces, and the colliders near them or in sight. They reach at
+        most `most` [m] from the camera's target: a ball flung away farther would leave no detail to all others' shadows."""
         step = max(1, len(frame.position) // 4096)
         bounds = robust_bounds(frame.position[::step], frame.radius[::step])[0]
         near = near_boxes(frame, bounds, IN_SIGHT * self._distance)
-        points = np.concatenate([bounds.low[None], bounds.high[None], near])
+        points = np.concatenate([bounds.low[None], bounds.high[None], near, embedded_vertices(frame, bounds)])
         target = np.asarray(self.camera.target)
         return Bounds(
             *(np.clip(ends, target - most, target + most) for ends in (points.min(axis=0), points.max(axis=0)))

@@ -29,6 +29,8 @@ Measures = tuple[Ints, Floats, Floats]  # vertices (c, 4), weights (c, 4) and st
 
 FLAT_HINGE = 1e-4  # rad: a hinge folded less is flat
 STRAIGHT = np.cos(np.radians(40.0))  # of the bend at a ball up to which two of its neighbours are in a row with it
+PARTNERS = 16  # of a neighbour at most, in rows through a vertex
+MOST_ROWS = 256  # through a vertex, that each of its triangles considers
 WARP_ACROSS = 0.9  # cosine between a normal and the warp, from which on the warp lies across
 LEAST = 1e-9  # of what a triangle can measure: four balls that measure less measure nothing
 EXACT = 1e-9  # of a weight: rounding of 0
@@ -59,7 +61,8 @@ def mesh_bends(
     angle, which is what a cylinder stores. A hinge with cotangents K, rigidity / (A0 + A1) |K . x|^2 / 2 (Bergou et al. 2006),
     stores the same, and is taken where a triangle has one neighbour. Without a rigidity each edge has
     that of three balls in a row whose element has a stiffness of 1 N/m, the ends as far apart as the two vertices that face each
-    other across the edge. Beside a triangle without area nothing bends. weft: rigidity along the weft [N m], that along the warp
+    other across the edge. Beside a triangle without area nothing bends, and no spring crosses an edge folded onto itself, which
+    its opening would not stretch. weft: rigidity along the weft [N m], that along the warp
     by default; warp_angle: see `warp_directions`.
     """
     lean = 0.0 if rigidity is None or weft is None or rigidity == weft else (rigidity - weft) / (rigidity + weft)
@@ -84,8 +87,8 @@ def mesh_bends(
     normal = normals[0] / double[0][:, None] + normals[1] / double[1][:, None]
     rigid = rigid * _across(lean, warp_directions(normal, warp_angle), along)
     reach = double[0] * double[1] / length**2 * sine  # of the distance across, times that, for each radian
-    folded = ~flat
-    change = np.maximum(reach[folded] ** 2, 1e-300)
+    folded = sine >= FLAT_HINGE
+    change = reach[folded] ** 2
     strength = (2 * rigid / (double[0] + double[1]))[folded]
     return bends, opposite[folded], strength * length[folded] ** 2 * apart[folded] / change
 
@@ -203,13 +206,14 @@ class _Flat:
             three = self.t[here][:, [k, (k + 1) % 3, (k + 2) % 3]]
             found.append((here, _canonical(self.x, np.column_stack([three, self.flaps[here, k]]))))
         rows = _rows(self.x, self.t[self.number > 0])
-        order = np.argsort(rows[:, 0], kind="stable")
-        rows = rows[order]
         first = np.searchsorted(rows[:, 0], np.arange(len(self.x) + 1))
         for k in range(3):
             vertex = self.t[some, k]
-            count = first[vertex + 1] - first[vertex]
-            at = np.repeat(first[vertex] - np.append(0, np.cumsum(count)[:-1]), count) + np.arange(count.sum())
+            every = -(-(first[vertex + 1] - first[vertex]) // MOST_ROWS)  # of a hub, others in the next triangle
+            start = first[vertex] + some % np.maximum(every, 1)
+            count = -(-(first[vertex + 1] - start) // np.maximum(every, 1))
+            place = np.arange(count.sum()) - np.repeat(np.append(0, np.cumsum(count)[:-1]), count)
+            at = np.repeat(start, count) + np.repeat(every, count) * place
             found.append((np.repeat(some, count), rows[at]))
         all_ = np.column_stack([np.concatenate([one for one, _ in found]), np.concatenate([one for _, one in found])])
         key = np.sort(all_[:, 1:], axis=1)
@@ -266,7 +270,8 @@ class _Flat:
 
 def _rows(x: Floats, t: Ints) -> Ints:
     """Rows (r, 4) through vertices of triangles (t, 3): a vertex, one beside the row that takes what it is off, and two of its
-    neighbours; where it is straight the vertex itself in place of the second."""
+    neighbours; where it is straight the vertex itself in place of the second. Each neighbour chooses `PARTNERS` at most, evenly
+    from the straightest to the most bent, so that a hub has about so many rows for each neighbour."""
     ends = np.concatenate([t[:, [i, j]] for i, j in itertools.permutations(range(3), 2)])
     ends = np.unique(ends, axis=0)
     count = np.bincount(ends[:, 0], minlength=len(x))
@@ -276,18 +281,24 @@ def _rows(x: Floats, t: Ints) -> Ints:
         vertex = np.flatnonzero(count == valence)
         ring = ends[first[vertex][:, None] + np.arange(valence), 1]
         apart = x[ring] - x[vertex][:, None]
-        length = np.linalg.norm(apart, axis=2)
-        for a, c in itertools.combinations(range(valence), 2):
-            cosine = np.einsum("vi,vi->v", apart[:, a], apart[:, c]) / (length[:, a] * length[:, c])
-            row = np.flatnonzero(cosine < -STRAIGHT)
+        unit = apart / np.maximum(np.linalg.norm(apart, axis=2, keepdims=True), 1e-300)
+        rank = np.arange(valence)
+        for a in range(valence):
+            cosine = np.einsum("vi,vni->vn", unit[:, a], unit)
+            straight = (cosine < -STRAIGHT).sum(axis=1, keepdims=True)
+            part = np.maximum(straight, PARTNERS)
+            kept = (rank < straight) & (rank * PARTNERS // part > (rank - 1) * PARTNERS // part)
+            row, at = np.nonzero(kept)
+            c = np.argsort(cosine, axis=1, kind="stable")[row, at]
             line = apart[row, c] - apart[row, a]
             off = np.linalg.norm(np.cross(apart[row], line[:, None]), axis=2)
             bent = off[:, a] > EXACT * np.sum(line * line, axis=1)
-            off[:, [a, c]] = -1.0
+            off[:, a] = off[np.arange(len(row)), c] = -1.0
             beside = np.where(bent, ring[row, np.argmax(off, axis=1)], vertex[row])
             use = ~bent | (off.max(axis=1) > 0.0)
-            found.append(np.column_stack([vertex[row], beside, ring[row, a], ring[row, c]])[use])
-    return np.concatenate(found)
+            pair = np.sort(np.column_stack([ring[row, a], ring[row, c]]), axis=1)
+            found.append(np.column_stack([vertex[row], beside, pair])[use])
+    return np.unique(np.concatenate(found), axis=0)
 
 
 def _canonical(x: Floats, four: Ints) -> Ints:

@@ -6,7 +6,7 @@ from statics import forces
 
 import taichi_sim as ts
 from taichi_sim.analysis.accuracy import Setup, findings
-from taichi_sim.analysis.coarse_meshes import bent_findings, few_across, ropes
+from taichi_sim.analysis.coarse_meshes import bent_findings, beyond_bricks, few_across, ropes
 from taichi_sim.analysis.methods import VERLET
 from taichi_sim.geometry.mesh import Surface
 
@@ -168,3 +168,33 @@ def test_boxes_and_what_is_straight_say_nothing():
         scene, mesh=Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])), bending_rigidity=1.0
     )
     assert said(scene) == []
+
+
+def spindle(length):
+    """Two square pyramids on one base of 0.3 m, whose tips are `length` [m] from it."""
+    base = [[0.15, 0, 0.15], [0.15, 0, -0.15], [-0.15, 0, -0.15], [-0.15, 0, 0.15]]
+    tips = [[0, length, 0], [0, -length, 0]]
+    faces = [[k, (k + 1) % 4, 4] for k in range(4)] + [[(k + 1) % 4, k, 5] for k in range(4)]
+    return Surface(np.array(base + tips, dtype=float), np.array(faces, dtype=np.int32))
+
+
+def test_a_mesh_with_tips_that_no_brick_fills():
+    """What is said is the distance of the tip from the nearest brick; the spacing that is advised leaves nothing to be said."""
+    scene = ts.Scene(dim=3)
+    body = ts.shapes.jelly(scene, mesh=spindle(0.6), spacing=0.08, rotation=(20, 0, 30), position=(1, 2, 3))
+    ((what, cure),) = beyond_bricks(scene)
+    far = scene.embedded_surfaces[0]
+    tip = far.weights[4] @ scene.position[far.corners[4]]
+    box = scene.position[scene.bricks].mean(axis=1)
+    axes = scene.position[scene.bricks[0]][[4, 2, 1]] - scene.position[scene.bricks[0]][0]
+    off = np.abs((tip - box) @ (axes / 0.08).T) - 0.04
+    reach = np.linalg.norm(np.maximum(off, 0.0), axis=1).min()
+    assert what.startswith("the mesh of jelly_0 reaches up to")
+    assert number(what, "up to ", " m beyond") == pytest.approx(reach, rel=0.01)
+    assert len(body.balls) == scene.n_balls
+    spacing = number(cure, "<= ", " or fill")
+    assert spacing < 0.08
+    for better in ({"spacing": spacing}, {"fill": "tetrahedra"}):
+        scene = ts.Scene(dim=3)
+        ts.shapes.jelly(scene, mesh=spindle(0.6), **better)
+        assert not list(beyond_bricks(scene))

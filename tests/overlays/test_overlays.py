@@ -1,6 +1,7 @@
 """Text, curves and marks over pictures: where they lie, what they show after a resumed run, and what is refused."""
 
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.files.source import checked_output, open_scene
 from taichi_sim.overlays import open_renderer
-from taichi_sim.overlays.panel import nice_step, ticks
-from taichi_sim.overlays.plot import written
-from taichi_sim.scene.overlay import Overlay
+from taichi_sim.overlays.panel import LIGHT, Panel, nice_step, ticks
+from taichi_sim.overlays.plot import Plot, labels_of, padded, written
+from taichi_sim.scene.overlay import Overlay, ShownProbe
 from taichi_sim.sweeps.pictures import draw
 
 pytestmark = pytest.mark.once
@@ -168,6 +169,78 @@ def test_round_numbers():
     assert [nice_step(span, 5) for span in (1.0, 7.0, 11.0, 26.0, 0.003)] == [0.2, 2.0, 5.0, 10.0, 0.001]
     assert ticks(-0.3, 1.04, 4) == ([0.0, 0.5, 1.0], 1)
     assert [written(*one) for one in ((-0.25, 2), (1e6, 0), (float("nan"), 2))] == ["\u22120.25", "1.00e+06", "\u2013"]
+    assert [written(*one) for one in ((-4e-4, 2), (-0.0, 8), (-3e-8, 9))] == ["0.00", "0.00e+00", "\u22123.00e\u221208"]
+    assert ticks(0.04, 0.98, 2)[0] == pytest.approx([0.2, 0.4, 0.6, 0.8])
+    assert labels_of([250_000.0, 250_020.0], 0, " J") == ["2.5000e+05", "2.5002e+05 J"]
+
+
+@pytest.mark.parametrize(
+    ("values", "reach"),
+    [([0.0, 0.0], (-1, 1)), ([1e-200, 0.0], (-1, 1)), ([-2.5, -2.5 - 4e-15], (-5, 0)), ([1.0, 3.0], (0.88, 3.12))],
+)
+def test_the_range_of_values_that_are_alike(values, reach):
+    assert padded(np.array(values)) == pytest.approx(reach)
+
+
+def test_a_lone_moment_has_an_axis_of_a_second():
+    frame = run_of_readings(2)[1]
+    images = []
+    for frames in ([], [frame]):
+        with open_renderer(frame, SIZE, STYLE) as renderer:
+            renderer.fit(frames)
+            images.append(renderer.render(frame))
+    assert np.array_equal(*images)
+
+
+@pytest.mark.parametrize("title", ["a title of more than forty letters that goes on", "onewordoffortyletters" * 2])
+def test_a_long_title_leaves_the_curves_free(title):
+    frame = run_of_readings()[-1]
+    images = []
+    for words in ("t", title):
+        style = {"overlay": {"title": words, "probes": [{"of": "ball.y"}], "plot_size": (0.6, 0.5)}}
+        with open_renderer(frame, SIZE, style) as renderer:
+            images.append(renderer.render(frame))
+    changed = (images[0] != images[1]).any(axis=(0, 2))
+    assert 0.2 * SIZE[0] < np.flatnonzero(changed).max() < 0.4 * SIZE[0]
+
+
+@pytest.mark.parametrize("values", [(-1e-7, 3e-7), (0.03, 0.97), (99_950.0, 100_020.0)])
+@pytest.mark.parametrize("side", [60.0, 150.0, 400.0])
+def test_labels_of_axes_do_not_touch(values, side, monkeypatch):
+    written_at = []
+    kept = Panel.text
+
+    def noted(panel, place, words, colour, anchor="la"):
+        written_at.append((place, words, anchor))
+        kept(panel, place, words, colour, anchor)
+
+    monkeypatch.setattr(Panel, "text", noted)
+    curve = ShownProbe("a.energy", label="energy of the first of all shapes")
+    plot = Plot((side, 0.7 * side), 9.0, LIGHT, [curve], [(0, 0, 0)], "", (0.0, 0.013), values)
+    along = [(x, Panel.length(words, 9.0) / 2) for (x, _), words, anchor in written_at if anchor == "ma"]
+    up = [y for (_, y), _, anchor in written_at if anchor == "rm"]
+    assert len(along) > 1 or side == 60.0
+    assert all(x + half < other - more for (x, half), (other, more) in pairwise(along))
+    assert along[-1][0] + along[-1][1] <= side
+    assert len(up) > 1 or side == 60.0
+    assert all(one - other > 9.0 for one, other in pairwise(up))
+    written_at.clear()
+    plot.at([0.0], np.array([[values[0]]]))
+    ((x, _), name, _), ((right, _), value, _) = written_at
+    assert x + Panel.length(name, 9.0) < right - Panel.length(value, 9.0) or side == 60.0
+
+
+def test_a_plot_as_large_as_the_picture_stays_within_it():
+    frame = run_of_readings()[-1]
+    widths = []
+    for share in (0.88, 0.91, 0.96, 1.0):
+        overlay = {"probes": [{"of": "ball.y"}], "plot_size": (share, share)}
+        with open_renderer(frame, SIZE, {"overlay": overlay, "transparent": True}) as renderer:
+            renderer.fit([frame])
+            changed = renderer.render(frame)[:, :, 3].any(axis=0)
+        widths.append(int(changed.sum()))
+    assert widths == sorted(widths)
+    assert widths[-1] < SIZE[0] - 4
 
 
 @pytest.mark.parametrize(

@@ -46,6 +46,18 @@ def on_screen(camera, frame):
     return local[:, :2] / local[:, 2:] / (tall * ASPECT, tall)
 
 
+def test_what_is_drawn_beyond_its_balls_is_in_the_picture():
+    tip = Scene(dim=3)
+    balls = tip.add_balls(START.position, radius=0.2)
+    corners = np.tile(balls[:2], (3, 1))
+    tip.add_embedded_surface(corners, [[-3.0, 4.0], [0.5, 0.5], [0.0, 1.0]], [[0, 1, 2]])
+    frame = frame_at(0.0, START.position)
+    frame.embedded_surfaces = tuple(tip.embedded_surfaces)
+    drawn = frame_at(0.0, [[8, 4, 0], [1, 0.5, 0], [2, 1, 0]])
+    assert np.abs(on_screen(Camera.fit(START, ASPECT), drawn)).max() > 1
+    assert np.abs(on_screen(Camera.fit(frame, ASPECT), drawn)).max() < 0.97
+
+
 RUN = [frame_at(t, np.add(START.position, (9 * t, 4 * t * (2 - t), -6 * t))) for t in np.linspace(0, 2, 9)]
 
 

@@ -6,6 +6,7 @@ from statics import at_rest
 
 from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.geometry.mesh import Surface
+from taichi_sim.shapes.mesh_bending import _rows, mesh_bends
 
 pytestmark = pytest.mark.once
 
@@ -193,6 +194,30 @@ def test_a_hinge_of_a_fabric_is_as_stiff_as_the_fabric_across_it(angle):
     want = np.cos(angle) ** 2 + 0.25 * np.sin(angle) ** 2
     assert found[1] / found[0] == pytest.approx(want, rel=1e-6)
     assert found[3] / found[2] == pytest.approx(want, rel=1e-3)
+
+
+@pytest.mark.parametrize("fold", [np.pi, np.pi - 2e-5, -np.pi])
+def test_nothing_crosses_an_edge_folded_onto_itself(fold):
+    corners = [[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(fold), 0.4 * np.sin(fold), 0]]
+    surface = Surface(np.array(corners), np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32))
+    bends, pairs, strength = mesh_bends(surface, RIGIDITY)
+    assert (len(bends.corners), len(pairs), len(strength)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("spokes", [48, 300])
+def test_the_elements_of_a_hub_grow_as_its_neighbours_do(spokes):
+    """A fan of any number of triangles stores |kappa|^2 less the square of what it has across its border."""
+    angle = 2 * np.pi * np.arange(spokes) / spokes
+    x = np.vstack([np.zeros(3), np.stack([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)])
+    k = np.arange(spokes)
+    surface = Surface(x, np.stack([0 * k, 1 + k, 1 + (k + 1) % spokes], axis=1).astype(np.int32))
+    bends = mesh_bends(surface, RIGIDITY)[0]
+    assert len(bends.corners) < 3 * spokes
+    assert len(_rows(surface.vertices, surface.triangles)) < 17 * spokes
+    area = 0.5 * spokes * np.sin(2 * np.pi / spokes)
+    for height, want in ((x[:, 0] ** 2 / 2, 0.625), (x[:, 0] * x[:, 2], 1.5)):
+        bent = (bends.weights * height[bends.corners]).sum(axis=1)
+        assert 0.5 * bends.stiffness @ bent**2 == pytest.approx(RIGIDITY * area * want / 2, rel=0.06)
 
 
 def test_stretch_of_a_mesh():
