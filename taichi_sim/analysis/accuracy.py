@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import coarse_meshes, late_impacts, rebounds, shared_loads, turning
+from taichi_sim.analysis import coarse_meshes, contact_loads, late_impacts, rebounds, shared_loads, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -82,6 +82,9 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
         yield from _overlap(scene, setup)
         if part := rebounds.returned(scene, setup.impacts):
             yield Finding("rebound", rebounds.sentence(part), rebounds.cure(scene))
+        if (excess := contact_loads.at_contacts(scene, setup.method, setup.h)) is not None:
+            words = contact_loads.sentence(excess, setup.method, setup.h)
+            yield Finding("load at contacts", words, contact_loads.cure(excess, setup.method, setup.h))
         if shared_loads.are_read(scene):
             yield Finding("load", shared_loads.SENTENCE, shared_loads.CURE)
         if setup.loses:

@@ -51,8 +51,9 @@ class Method:
     a simulation needs a number as dt. `symplectic`: small motion keeps an energy near the true one, but large motion of
     undamped springs resonates with the step, so that automatic steps are shorter there. `conserves`: it damps nothing of its
     own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `solves_elements`: the
-    same for elements that give their derivatives. `single_pass`: each spring gives once in a step, or by halves in two passes,
-    what it would if it were alone. `swing_power`: of the elastic part of the energy, with which `swing` grows.
+    same for elements that give their derivatives. `single_pass`: each spring gives once in a step, or by halves in two
+    passes, what it would if it were alone. `contacts_follow`: springs are solved before it knows of contacts. `swing_power`:
+    of the elastic part of the energy, with which `swing` grows.
 
     A method that can say more overrides the functions below:
 
@@ -70,6 +71,7 @@ class Method:
     solves_gas: bool = False
     solves_elements: bool = False
     single_pass: bool = False
+    contacts_follow: bool = False
     swing_power: float = 1.0
 
     def __str__(self) -> str:
@@ -233,7 +235,13 @@ VERLET = _Verlet(
 )
 RK4 = _RungeKutta("rk4", 4, RungeKuttaLimit(undamped=2.61, damped=2.61), conserves=True, contact_solves=2)
 XPBD = _BackwardEuler(
-    "xpbd", 1, ImplicitLimit(undamped=2.0, damped=1.0), solves_gas=True, single_pass=True, iterations=2
+    "xpbd",
+    1,
+    ImplicitLimit(undamped=2.0, damped=1.0),
+    solves_gas=True,
+    single_pass=True,
+    contacts_follow=True,
+    iterations=2,
 )
 IMPLICIT_EULER = _BackwardEuler(
     "implicit_euler",
@@ -241,10 +249,18 @@ IMPLICIT_EULER = _BackwardEuler(
     ImplicitLimit(undamped=2.0, damped=1.0),
     solves_gas=True,
     solves_elements=True,
+    contacts_follow=True,
     iterations=5,
 )
 # its two stages take explicit forces from old places
-TR_BDF2 = _TRBDF2("tr_bdf2", 2, SmallMotionLimit(undamped=1.0, damped=0.5), contact_solves=2, solves_elements=True)
+TR_BDF2 = _TRBDF2(
+    "tr_bdf2",
+    2,
+    SmallMotionLimit(undamped=1.0, damped=0.5),
+    contact_solves=2,
+    solves_elements=True,
+    contacts_follow=True,
+)
 
 BUILT_IN_METHODS = {
     method.name: method for method in (EXPLICIT_EULER, SYMPLECTIC_EULER, VERLET, RK4, XPBD, IMPLICIT_EULER, TR_BDF2)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from taichi_sim.analysis import late_impacts, turning
+from taichi_sim.analysis import contact_loads, late_impacts, turning
 from taichi_sim.analysis.coarse_meshes import beyond_bricks
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.frame import Contacts, Frame, frame_count
@@ -90,6 +90,7 @@ class Summary:
     step_error: StepError | None = None  # estimated by a second run, see Companion
     left_out: list[str] = field(default_factory=list)  # other errors, which that does not tell
     rotation: str = ""  # angular momentum that the method took, where that shows
+    contact_load: str = ""  # that elements at contacts bear too much, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
     settled: str = ""  # how well the scene was at rest at the start, where that was asked for
     device: str = ""  # what computed it, in words
@@ -189,6 +190,8 @@ class Summary:
             )
         if self.rotation:
             lines.append(f"rotation     {self.rotation}")
+        if self.contact_load:
+            lines.append(f"load         {self.contact_load}")
         if self.solver is not None:
             s = self.solver
             lines.append(
@@ -528,6 +531,7 @@ def export(
             summary.energy_end = tuple(frame.energy)
         summary.error, summary.solver, summary.scales = simulation.error(), simulation.solver(), simulation.scales()
         summary.rotation = _rotation(simulation, frame)
+        summary.contact_load = _contact_load(simulation) if summary.unsolved else ""
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
         if companion is not None:
             bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
@@ -551,6 +555,15 @@ def _rotation(simulation: Any, frame: Frame | None) -> str:
     if turn is None or not turn.shows(method, h):
         return ""
     return f"{turning.sentence(turn, method, h, simulation.time or 1.0)}; {turning.cure(turn, method, h)}"
+
+
+def _contact_load(simulation: Any) -> str:
+    """Load that elements at contacts bear too much by the method; empty where it does not show."""
+    method, h = simulation.settings.integrator.method, simulation.dt / simulation.substeps
+    excess = contact_loads.at_contacts(simulation.scene, method, h)
+    if excess is None or not excess.shows(method, h):
+        return ""
+    return f"{contact_loads.sentence(excess, method, h)}; {contact_loads.cure(excess, method, h)}"
 
 
 def _own(summary: Summary, renderer: Any) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import pytest
 from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
-from taichi_sim.analysis import accuracy
-from taichi_sim.analysis.methods import VERLET, XPBD
+from taichi_sim.analysis import accuracy, contact_loads
+from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET, XPBD
 from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy, untouched
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
@@ -89,6 +89,59 @@ def test_tr_bdf2_takes_as_much_angular_momentum_as_said():
         r, u = sim.position - centre, sim.velocity - mean
         kept = abs(scene.mass @ (r[:, 0] * u[:, 1] - r[:, 1] * u[:, 0])) / (0.75 * 0.09 * speed)
         assert kept == pytest.approx((1 + steps * (h * speed) ** 4 / 10) ** -0.25, rel=0.02)
+
+
+# Loads at contacts ------------------------------------------------------------------------------------------------------
+
+
+def column_at_rest(n, stiffness, damping):
+    """A column of balls of 1 kg on a floor, joined by springs that bear the weight above them."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    balls = scene.add_balls([[0.0, 0.02 + 0.1 * i] for i in range(n)], radius=0.02, mass=1.0)
+    pairs = np.stack([balls[:-1], balls[1:]], axis=1)
+    shortened = G * np.arange(n - 1, 0, -1) / stiffness
+    scene.add_springs(pairs, stiffness=stiffness, damping=damping, rest_length=0.1 + shortened)
+    scene.add_wall((0.0, 1.0))
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("method", "n", "stiffness", "damping", "h", "within"),
+    [
+        ("implicit_euler", 10, 1e5, 20.0, 4e-3, 0.03),  # 258 N in place of 90
+        pytest.param("implicit_euler", 6, 3e5, 50.0, 2e-3, 0.03, marks=pytest.mark.slow),
+        pytest.param("tr_bdf2", 10, 1e5, 20.0, 4e-3, 0.1, marks=pytest.mark.slow),
+        ("xpbd", 10, 1e5, 20.0, 2e-3, 0.1),
+    ],
+)
+def test_springs_at_a_contact_bear_as_much_too_much_as_said(method, n, stiffness, damping, h, within):
+    scene = column_at_rest(n, stiffness, damping)
+    sim = simulate(scene, integrator=method, dt=h)
+    told = said(sim, "load at contacts")
+    assert told.cure.startswith("take verlet, which knows of contacts, or substeps of")
+    summary = export(sim, None, fps=1, duration=3.0)
+    assert any(line.startswith("load ") for line in summary.lines())
+    borne = stiffness * (scene.rest_length[0] - np.diff(sim.position[:2, 1])[0])
+    excess = (borne - G * (n - 1)) / (G * n)
+    assert figure(told.what, "of its weight too much") == pytest.approx(excess, rel=within)
+    step = figure(told.cure + ";", "s;")
+    shorter = contact_loads.at_contacts(scene, sim.settings.integrator.method, step)
+    assert shorter.share(sim.settings.integrator.method, step) == pytest.approx(contact_loads.SHOWS, rel=0.1)
+
+
+@pytest.mark.once
+def test_bodies_that_rest_on_nothing_bear_nothing_too_much():
+    scene = column_at_rest(5, 1e5, 20.0)
+    told = contact_loads.at_contacts(scene, IMPLICIT_EULER, 4e-3)
+    assert told.share(IMPLICIT_EULER, 4e-3) == pytest.approx(1.68)  # 258 N in place of 90
+    assert told.ball == 0
+    assert contact_loads.at_contacts(scene, VERLET, 4e-3) is None
+    hung = column_at_rest(5, 1e5, 20.0)
+    hung.pinned[4] = True
+    assert contact_loads.at_contacts(hung, IMPLICIT_EULER, 4e-3) is None
+    weightless = column_at_rest(5, 1e5, 20.0)
+    weightless.gravity[:] = 0.0
+    assert contact_loads.at_contacts(weightless, IMPLICIT_EULER, 4e-3) is None
 
 
 # Bounces ----------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,152 @@
+"""Load that elements bear too much at a contact, with methods that solve them before contacts. No Taichi.
+
+Implicit Euler and xpbd solve springs and elements as if there were no contact, so what rests on one moves into it, and the
+contact stops it afterwards. At rest a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m.
+Elements of the stiffness k and the damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of
+the weight. Of TR-BDF2, which has two stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.methods import TR_BDF2, VERLET, Method
+from taichi_sim.geometry.graph import components
+from taichi_sim.scene.bricks import BRICKS
+from taichi_sim.scene.neo_hookean import lame
+from taichi_sim.scene.part import Quadratic
+from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.solids import SOLIDS, shape_gradients
+
+__all__ = ["Excess", "at_contacts", "cure", "sentence"]
+
+SHOWS = 0.05  # of the weight: an excess that is worth a word
+PARTS = {TR_BDF2.name: (0.41, 0.85)}  # of the excess by stiffness and by damping; 1 by methods of one solve
+
+Floats = NDArray[np.float64]
+
+
+class Excess(NamedTuple):
+    """Excess of load on the elements at the lowest layer of a body, as a part of the weight that the layer bears: `elastic`
+    [1/s^2], times h^2, and `damping` [1/s], times h. ball: one of the layer."""
+
+    ball: int
+    elastic: float
+    damping: float
+
+    def share(self, method: Method, h: float) -> float:
+        """Part of the weight that is borne too much with steps of h seconds."""
+        elastic, damping = PARTS.get(method.name, (1.0, 1.0))
+        return elastic * h * h * self.elastic + damping * h * self.damping
+
+    def shows(self, method: Method, h: float) -> bool:
+        """True if the excess is worth a word."""
+        return self.share(method, h) > SHOWS
+
+    def step(self, method: Method) -> float:
+        """The longest step [s] in which it is not."""
+        elastic, damping = PARTS.get(method.name, (1.0, 1.0))
+        a, b = elastic * self.elastic, damping * self.damping
+        return 2.0 * SHOWS / (b + float(np.sqrt(b * b + 4.0 * a * SHOWS)))
+
+
+def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
+    """The body whose elements bear most too much where it rests on its lowest layer, as it lies at the start. None where the
+    method knows of contacts, nothing falls, or no body without pins can rest on anything."""
+    g = float(np.linalg.norm(scene.gravity))
+    if not method.contacts_follow or g == 0.0 or not scene.n_balls:
+        return None
+    solved, up = method.solved(scene), -scene.gravity / g
+    elastic, damping = _springs(scene, scene.stiffness), _springs(scene, scene.damping)
+    for one in solved:
+        elastic += one.stiffness(scene)
+        damping += one.damping(scene)
+    if BRICKS in solved:
+        volume = scene.brick_size.prod(axis=1)
+        laws = volume, scene.brick_modulus, scene.brick_ratio, scene.brick_viscosity
+        _add_solids(scene, scene.bricks, laws, up, elastic, damping)
+    if SOLIDS in solved:
+        volume = shape_gradients(scene.solid_rest)[1]
+        laws = volume, scene.solid_modulus, scene.solid_ratio, scene.solid_viscosity
+        _add_solids(scene, scene.solids, laws, up, elastic, damping)
+    edges = [kind.corners[:, [k, k + 1]] for kind in elastic for k in range(kind.corners.shape[1] - 1)]
+    if not edges:
+        return None
+    body = components(scene.n_balls, np.concatenate(edges))
+    layer = _lowest(scene, body, up)
+    mass = np.bincount(body[layer], scene.mass[layer], scene.n_balls)
+    held = np.bincount(body[scene.pinned], minlength=scene.n_balls) > 0
+    rest = (mass > 0.0) & ~held & (np.bincount(body, minlength=scene.n_balls) > 1)
+    if not rest.any() or not (scene.walls or scene.colliders or len(np.unique(body)) > 1):
+        return None
+    rates = [
+        np.where(rest, _of_layers(kinds, body, layer, up), 0.0) / np.maximum(mass, 1e-300)
+        for kinds in (elastic, damping)
+    ]
+    found = [Excess(int(b), float(rates[0][b]), float(rates[1][b])) for b in np.flatnonzero(rest)]
+    most = max(found, key=lambda one: one.share(method, h))
+    return most if most.share(method, h) > 0.0 else None
+
+
+def _springs(scene: Scene, strength: Floats) -> list[Quadratic]:
+    """Springs of a scene, along their directions at the start."""
+    if not scene.n_springs:
+        return []
+    i, j = scene.pairs.T
+    along = scene.position[j] - scene.position[i]
+    along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    return [Quadratic(scene.pairs, np.stack([-along, along], axis=1), strength)]
+
+
+def _add_solids(
+    scene: Scene,
+    corners: NDArray[np.int32],
+    laws: tuple[Floats, Floats, Floats, Floats],
+    up: Floats,
+    elastic: list[Quadratic],
+    damping: list[Quadratic],
+) -> None:
+    """Add bricks or solids with these corners, strained along `up` alone. laws: volumes, moduli, ratios and viscosities."""
+    volume, modulus, ratio, viscosity = laws
+    mu, lam = lame(scene.dim, modulus, ratio)
+    x = scene.position[corners]
+    apart = np.linalg.pinv(x - x.mean(axis=1, keepdims=True))  # (e, dim, k): the gradient of a field from its corners
+    gradient = np.einsum("eak,a->ek", apart, up)[:, :, None] * up
+    elastic.append(Quadratic(corners, gradient, volume * (lam + 2.0 * mu)))
+    damping.append(Quadratic(corners, gradient, 2.0 * volume * viscosity))
+
+
+def _lowest(scene: Scene, body: NDArray[np.int64], up: Floats) -> NDArray[np.bool_]:
+    """Balls (n,) whose lowest point is within half a radius of the lowest one of their body."""
+    bottom = scene.position @ up - scene.radius
+    lowest = np.full(scene.n_balls, np.inf)
+    np.minimum.at(lowest, body, bottom)
+    return np.asarray(bottom <= lowest[body] + 0.5 * scene.radius, dtype=np.bool_)
+
+
+def _of_layers(kinds: list[Quadratic], body: NDArray[np.int64], layer: NDArray[np.bool_], up: Floats) -> Floats:
+    """Second derivative (n,) [N/m], or of damping [N s/m], of elements where the layer of each body moves along `up`; stored at
+    its first ball."""
+    total = np.zeros(len(body))
+    for kind in kinds:
+        moved = kind.gradient * layer[kind.corners][:, :, None]
+        whole = kind.gradient.shape[2] == 1
+        square = moved.sum(axis=1)[:, 0] ** 2 if whole else (moved @ up).sum(axis=1) ** 2
+        total += np.bincount(body[kind.corners[:, 0]], kind.strength * square, len(body))
+    return total
+
+
+def sentence(excess: Excess, method: Method, h: float) -> str:
+    """The excess in words."""
+    return (
+        f"{method} solves springs and elements before contacts: where the body of ball {excess.ball} rests on its lowest balls,"
+        f" those next to them bear {excess.share(method, h):.2g} of its weight too much"
+    )
+
+
+def cure(excess: Excess, method: Method, h: float) -> str:
+    """The remedy, empty where the excess is small."""
+    if not excess.shows(method, h):
+        return ""
+    return f"take {VERLET}, which knows of contacts, or substeps of {excess.step(method):.2g} s"
