@@ -26,7 +26,7 @@ SLOW = 3.0  # times the slowest frequency, up to which motions count as slow
 STILL = 1e-6  # of the fastest mode's omega: motion that nothing resists
 CARRIED = 0.05  # part of the load that may be carried by nothing near a place of rest
 SMALL = 0.1  # strain up to which springs stretch in proportion to their load
-BLUR = 4.0 * 2.0**-23  # of places: what single precision may make of a stretch
+BLUR = 8.0  # times the rounding of places: what that may make of a stretch
 
 
 class Decay(NamedTuple):
@@ -54,11 +54,12 @@ def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> lis
     free = np.flatnonzero(~scene.pinned)
     if not scene.n_springs or not len(free) or not_worked_out(scene):
         return []
-    along, tense, blur = _directions(scene, position)
-    omega2, shape = _modes(scene, free, along, np.where(tense < blur, 0.0, tense))
-    loaded = tense + _loaded(scene, free, position, omega2, shape)
-    if np.any(np.abs(loaded - tense) > blur):
-        omega2, shape = _modes(scene, free, along, np.where(loaded < blur, 0.0, loaded))
+    position, digit = _as_given(scene, position)
+    along, tense = _directions(scene, position, digit)
+    omega2, shape = _modes(scene, free, along, tense)
+    loaded = tense + _loaded(scene, free, position, tense, omega2, shape)
+    if np.any(loaded != tense):
+        omega2, shape = _modes(scene, free, along, loaded)
     slow = np.flatnonzero(omega2 > STILL**2 * omega2[-1])
     slow = slow[omega2[slow] <= SLOW**2 * omega2[slow[:1]]]
     dampings = (scene.damping, method.spring_damping(scene, h))
@@ -81,20 +82,23 @@ def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> lis
 
 
 def _modes(scene: Scene, free: NDArray[np.int64], along: Floats, tense: Floats) -> tuple[Floats, Floats]:
-    """Squares of omega [1/s^2] and shapes of all modes, in coordinates times the roots of masses."""
-    across = scene.stiffness * tense
+    """Squares of omega [1/s^2] and shapes of all modes, in coordinates times the roots of masses. What is pressed resists no
+    motion across, and is taken not to help it."""
+    across = scene.stiffness * np.maximum(tense, 0.0)
     block = (scene.stiffness - across)[:, None, None] * along + across[:, None, None] * np.eye(scene.dim)
     omega2, shape = np.linalg.eigh(_assembled(scene, free, block, BENDING.stiffness(scene)))
     return omega2, shape
 
 
-def _loaded(scene: Scene, free: NDArray[np.int64], position: Floats, omega2: Floats, shape: Floats) -> Floats:
+def _loaded(
+    scene: Scene, free: NDArray[np.int64], position: Floats, tense: Floats, omega2: Floats, shape: Floats
+) -> Floats:
     """Tension (m,) over stiffness times length that springs get where the scene comes to rest under its weight: a rope that hangs
     unstretched at the start, say. 0 where that is not near, as what nothing resists carries part of the weight."""
     force = scene.mass[:, None] * scene.gravity
     r = position[scene.pairs[:, 1]] - position[scene.pairs[:, 0]]
     length = np.maximum(np.linalg.norm(r, axis=1), 1e-300)
-    pull = (scene.stiffness * (length - scene.rest_length) / length)[:, None] * r
+    pull = (scene.stiffness * tense)[:, None] * r
     np.add.at(force, scene.pairs[:, 0], pull)
     np.add.at(force, scene.pairs[:, 1], -pull)
     for corners, gradient, strength in BENDING.stiffness(scene):
@@ -111,15 +115,24 @@ def _loaded(scene: Scene, free: NDArray[np.int64], position: Floats, omega2: Flo
     return stretch if np.abs(stretch).max() < SMALL else np.zeros_like(length)
 
 
-def _directions(scene: Scene, position: Floats) -> tuple[Floats, Floats, Floats]:
-    """Projections (m, dim, dim) along the springs, their tension (m,) over stiffness times length, and what single precision may
-    make of that (m,), which else would seem to resist what nothing does."""
+def _as_given(scene: Scene, position: Floats) -> tuple[Floats, float]:
+    """Positions (n, dim) [m], those of the scene where a run holds them but rounded, and the rounding of their digits."""
+    exact = np.where(position == scene.position.astype(np.float32), scene.position, position)
+    moved = np.any(exact != scene.position)
+    single = moved and np.array_equal(position, position.astype(np.float32))
+    return exact, 2.0**-24 if single else 2.0**-53
+
+
+def _directions(scene: Scene, position: Floats, digit: float) -> tuple[Floats, Floats]:
+    """Projections (m, dim, dim) along the springs, and their tension (m,) over stiffness times length; 0 where it is no more than
+    rounding of digits makes of places, which else would seem to resist what nothing does."""
     r = position[scene.pairs[:, 1]] - position[scene.pairs[:, 0]]
     length = np.linalg.norm(r, axis=1)
     whole = np.where(length > 0, length, 1.0)
     n = r / whole[:, None]
     tense = np.where(length > 0, 1.0 - scene.rest_length / whole, 1.0)
-    return n[:, :, None] * n[:, None, :], tense, BLUR * np.abs(position).max() / whole
+    blur = BLUR * digit * np.abs(position).max() / whole
+    return n[:, :, None] * n[:, None, :], np.where(np.abs(tense) < blur, 0.0, tense)
 
 
 def _assembled(scene: Scene, free: NDArray[np.int64], block: Floats, bends: list[Quadratic]) -> Floats:

@@ -29,6 +29,7 @@ STIFF = tuple(method for method in BUILT_IN_METHODS.values() if method not in EX
 MANY_PASSES = 20_000  # over the springs in a simulated second, from which a stiff method is worth a try
 MUCH_LONGER = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
 WRONG_DECAY = 0.05  # of a decay rate, from which its error is reported
+TOUCHES = 0.01  # of the radius: a gap that counts as none
 WRONG_IN_A_CYCLE = 0.01  # of a cycle's motion, likewise, where springs damp less
 
 
@@ -46,12 +47,23 @@ def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64
             yield f"damping               not worked out: {why}"
         return
     worst = max(decays, key=lambda mode: abs(mode.found - mode.exact) / _allowed(mode))
-    yield f"damping               the slowest motion, {_decay(decays[0])}"
+    free = ", as if nothing held what touches walls or colliders" * _rests(scene, position)
+    yield f"damping               the slowest motion{free}, {_decay(decays[0])}"
     if abs(worst.found - worst.exact) <= _allowed(worst):
         return
     if worst is not decays[0]:
         yield f"                      that of {_decay(worst)}"
     yield f"                      {method.damping_cure(2.0 * np.pi * worst.frequency, _allowed(worst))}"
+
+
+def _rests(scene: Scene, position: NDArray[np.float64]) -> bool:
+    """True if a wall or a collider may hold a ball of a spring, which the modes know nothing of."""
+    balls = np.unique(scene.pairs)
+    balls = balls[~scene.pinned[balls]]
+    x, near = position[balls], (1.0 + TOUCHES) * scene.radius[balls]
+    above = [x @ np.asarray(wall.normal) - wall.offset for wall in scene.walls]
+    above += [collider.distance(x, 0.0) for collider in scene.colliders]
+    return any(bool(np.any(distance <= near)) for distance in above)
 
 
 def _allowed(mode: Decay) -> float:

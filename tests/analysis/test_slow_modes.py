@@ -63,6 +63,26 @@ def test_a_chain_that_hangs_from_its_end(dim):
     assert frequencies(scene)[: 2 * (dim - 1)] == pytest.approx(np.repeat(exact, dim - 1), rel=0.01)
 
 
+@pytest.mark.parametrize("rounding", [np.float64, np.float32])
+@pytest.mark.parametrize(("n", "far"), [(101, 0.0), (41, 100.0), (201, -7.0)])
+def test_a_chain_of_many_balls_or_far_away_is_no_other(n, far, rounding):
+    """Coordinates are rounded to more than its stretch; differences, and the weight below, are known."""
+    g, length = 7.0, 0.8
+    scene = ts.Scene(dim=2, gravity=(0, -g))
+    ts.shapes.rope(scene, (far, 0), (far, -length), n, mass=0.06, pinned=[0])
+    exact = 2.404826 / (4.0 * np.pi) * np.sqrt(g / length)
+    assert slowest(scene, scene.position.astype(rounding)) == pytest.approx(exact, rel=0.01)
+    hangs = scene.position.copy()  # stretched by the weight below, as it comes to rest
+    weight = np.cumsum(scene.mass[::-1])[::-1][1:] * g
+    strain = weight / (scene.stiffness * scene.rest_length)
+    hangs[1:, 1] = -np.cumsum(scene.rest_length * (1.0 + strain))
+    assert slowest(scene, hangs.astype(rounding)) == pytest.approx(exact, rel=0.01)
+
+
+def slowest(scene, position):
+    return slow_decays(scene, VERLET, H, position.astype(float))[0].frequency
+
+
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_cable_between_two_points(dim):
     """Unstretched at the start it has the modes of where it comes to rest, found by Newton's method."""
@@ -103,6 +123,21 @@ def test_check_names_the_slowest_first():
         assert named[0] == pytest.approx(slow[0], rel=5e-3)
         assert (len(lines) == 1) is (method is VERLET)
     assert named[1] == pytest.approx(slow[-1], rel=5e-3)
+
+
+@pytest.mark.parametrize("ground", ["wall", "collider"])
+@pytest.mark.parametrize("gap", [0.0, 0.1])
+def test_what_stands_on_something_is_said_to_be_as_if_free(ground, gap):
+    """A column whose ends are free has twice the frequency of one that stands."""
+    scene = ts.Scene(dim=2, gravity=(0, -7.0))
+    balls = scene.add_balls([[0.0, 0.05 + gap + 0.12 * k] for k in range(7)], radius=0.05, mass=0.1)
+    scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=4e3)
+    if ground == "wall":
+        scene.add_wall((0, 1))
+    else:
+        scene.add_collider(ts.Box((0.0, -0.5), (2.0, 1.0)))
+    line = next(check.damping(scene, VERLET, 1e-4, scene.position))
+    assert ("the slowest motion, as if nothing held what touches walls or colliders, " in line) is (gap == 0.0)
 
 
 def test_what_is_not_worked_out():

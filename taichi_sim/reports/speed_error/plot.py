@@ -11,6 +11,7 @@ COLOURS = ("#3d85c6", "#d99a1c", "#2a9d78", "#8c8c8c", "#c5689c", "#d4623a", "#8
 MARKERS = ("o", "s", "D", "x", "^", "v", "P")
 READ = "Each mark is a run with one step. Further left is more accurate, further down is faster."
 FRONT = "no run is both faster\nand more accurate"
+BAND = "these of all precisions,\njoined"
 BROKEN = "unstable, error unknown"
 FLOOR = "least error in\nsingle precision"
 UNTOLD = "too near to the reference\nto tell the error"
@@ -45,7 +46,7 @@ def draw(findings: Findings) -> Any:
             axis.axvspan(0.1 * low, near, color=INK, alpha=0.08, lw=0, label=UNTOLD)
         if precision == "f32" and findings.floor is not None:
             axis.axvline(findings.floor, color=INK, lw=0.9, ls="--", label=FLOOR)
-    figure.suptitle(READ, color=INK, fontsize=9)
+    figure.supxlabel(READ, color=INK, fontsize=9)  # a heading would meet the legend
     axes[0].set_ylabel(f"{known[0].clock} per simulated second [s]", color=INK)
     marks = {label: mark for axis in axes for mark, label in zip(*axis.get_legend_handles_labels())}
     order = {name: k for k, name in enumerate(METHODS)}
@@ -87,5 +88,5 @@ def _front(axis: Any, findings: Findings, precision: str) -> None:
     if front:
         points = [(row.relative_error, row.seconds) for row in front]
         own = [(row.relative_error, row.seconds) for row in front if row.precision == precision] or [(None, None)]
-        axis.plot(*zip(*points), color=INK, lw=7, alpha=0.13, solid_capstyle="round", solid_joinstyle="round", zorder=0)
         axis.plot(*zip(*own), color=INK, lw=0, marker="o", ms=11, mfc="none", mew=0.9, label=FRONT, zorder=0)
+        axis.plot(*zip(*points), color=INK, lw=7, alpha=0.13, solid_capstyle="round", label=BAND, zorder=0)
