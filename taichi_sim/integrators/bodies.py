@@ -160,7 +160,7 @@ class Bodies:
 @ti.data_oriented
 class FreeBodies:
     """Shifts the velocities of each free body together, so that its momentum is what it should be: conjugate gradients find
-    this, the softest of all modes, last."""
+    this, the softest of all modes, last, and until then take it for a load that deforms and turns the body."""
 
     def __init__(self, model: Model, bodies: Bodies, fields: Fields) -> None:
         self.bodies, self.dim, self.n = bodies, model.dim, model.n
@@ -169,7 +169,7 @@ class FreeBodies:
         mass = np.bincount(bodies.body, np.where(model.scene.pinned, 0.0, model.scene.mass), bodies.count)
         self.mass = fields.reals(np.where(bodies.free, mass, 0.0))  # 0 of those that something holds
         self.part = bodies.columns({"momentum": ti.types.vector(self.dim, self.wide)})
-        self.shift = fields.vectors(bodies.count, self.dim)
+        self.shift, self.change = (fields.vectors(bodies.count, self.dim) for _ in range(2))
 
     @ti.func
     def _collect(self, table: ti.template(), target: ti.template(), part):
@@ -202,6 +202,19 @@ class FreeBodies:
             for i in range(self.n):
                 if self.inverse_mass[i] > 0.0:
                     table[i].v = table[i].v + self.shift[self.bodies.of(i)]
+
+    @ti.func
+    def add_change(self, dv: ti.template(), table: ti.template(), target: ti.template()):
+        """dv (n) [m/s] += the change of the velocity of each body's centre of mass from table.v to `target`, which becomes
+        `change`. 0 where a pin holds it: what acts on all of a free body alike deforms nothing."""
+        if ti.static(self.some):
+            self._collect(table, target, 1.0)
+            ti.loop_config(serialize=ti.static(self.bodies.few))
+            for b in range(self.bodies.count):
+                self.change[b] = self.shift[b]
+            for i in range(self.n):
+                if self.inverse_mass[i] > 0.0:
+                    dv[i] = dv[i] + self.change[self.bodies.of(i)]
 
     @ti.func
     def find_means(self, table: ti.template(), target: ti.template()):

@@ -38,7 +38,18 @@ FINEST_SOLUTION = 8.0  # the same
 CERTAIN_NOISE = 4.0  # times the square of what rounding leaves of a residual
 NO_TIES = np.zeros((0, 2), dtype=np.int64)
 SUMS = (
-    *("residual", "force", "kinetic", "noise", "load", "potential", "potential_before", "descent", "curvature"),
+    *(
+        "residual",
+        "force",
+        "kinetic",
+        "within",
+        "noise",
+        "load",
+        "potential",
+        "potential_before",
+        "descent",
+        "curvature",
+    ),
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
 
@@ -144,7 +155,8 @@ class StageSolver(Verdicts):
     def linearise(self, s):
         """Inverse blocks and aggregates of the matrix, and the size of the residual, where guesses were added or taken back."""
         self.bodies.each_part(self._measure, (s,))
-        self.bodies.join((self.part.residual, self.part.force, self.part.kinetic, self.part.noise, self.part.load))
+        self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
+        self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.aggregates.active):
             self.aggregates.factor(self)
@@ -153,6 +165,8 @@ class StageSolver(Verdicts):
             if self.begins(b):
                 self._note_sizes(b, True)
                 self.number[b].scale_of_blocks = self.number[b].scale
+                within = self.bodies.total(self.part.within, b)
+                self.number[b].within = ti.max(self.number[b].force, within)
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
                 self.judge_guess(b)
@@ -173,7 +187,9 @@ class StageSolver(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         if self.begins(self.bodies.part[c].body):
-            residual = force = kinetic = noise = load = ti.cast(0.0, self.wide)
+            residual = force = kinetic = within = noise = load = ti.cast(0.0, self.wide)
+            change = self.free.change[self.bodies.part[c].body]
+            alike = self._kick_of_all(self.bodies.part[c].body)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
@@ -189,7 +205,9 @@ class StageSolver(Verdicts):
                     residual += sizes[0]
                     force += sizes[1]
                     kinetic += sizes[2]
-                    load += ti.cast(self.kick[i].norm_sqr() / w, self.wide)
+                    own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i] - change
+                    within += ti.cast(ti.max(own.norm_sqr(), whole.norm_sqr()) / w, self.wide)
+                    load += ti.cast((self.kick[i] - alike).norm_sqr() / w, self.wide)
                     blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
                     blur += self.eps * ti.abs(self.first[i]).max() / w
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
@@ -197,9 +215,18 @@ class StageSolver(Verdicts):
             self.part[c].residual = residual
             self.part[c].force = force
             self.part[c].kinetic = kinetic
+            self.part[c].within = within
             self.part[c].noise = noise
             self.part[c].load = load
             self._measure_work(c)
+
+    @ti.func
+    def _kick_of_all(self, b):
+        """Kick of the first ball of a free body; a uniform one deforms nothing. 0 where a pin holds the body."""
+        kick = ti.Vector.zero(float, self.dim)
+        if self.free.mass[b] > 0.0:
+            kick = self.kick[self.bodies.ball(self.bodies.first_part(b), 0)]
+        return kick
 
     @ti.func
     def _sizes(self, i, r, w, inverse):
@@ -329,11 +356,12 @@ class StageSolver(Verdicts):
 
     @ti.func
     def begin(self, stage):
-        """The change of the step before is the first guess of this one."""
+        """The first guess: the change of the step before, in the frame of the body, and that of its centre of mass now."""
         for i in range(self.n):
             self.first[i] = self.base[i].v
             self.ahead[i].x = padded_blocks.pad(self.base[i].x, self.dim)
             self.dv[i] = self.last[stage * self.n + i]
+        self.free.add_change(self.dv, self.base, self.q)
         self.free.find_means(self.base, self.q)
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
@@ -482,7 +510,8 @@ class StageSolver(Verdicts):
                 self.base[i].v = self.q[i]
         self.free.share(self.base, self.q)
         for i in range(self.n):
-            self.last[stage * self.n + i] = self.base[i].v - self.first[i]
+            change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
+            self.last[stage * self.n + i] = self.base[i].v - self.first[i] - change
         self.judge_all()
 
     @ti.func

@@ -43,7 +43,11 @@ MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 NUMBERS = (
     "phase",  # see below
     *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
-    *("noise", "load"),  # of a residual that may be rounding; of what acts from outside
+    *(
+        "within",
+        "noise",
+        "load",
+    ),  # of what deforms; of a residual that may be rounding; of what acts from outside and deforms
     "scale_of_blocks",  # `scale` when blocks were made
     "flies",  # 1 where nothing but rounding acts, else 0
     *(
@@ -142,7 +146,7 @@ class Verdicts:
         begun = self.number[b].phase == BEGUN
         self.number[b].change = 0.0
         unmoved = self.number[b].iterations == 0.0
-        if unmoved and self.is_rounding(b, self.number[b].scale, self.number[b].noise):
+        if unmoved and self.is_rounding(b, self.number[b].within, self.number[b].noise):
             self.number[b].flies = 1.0
             self.number[b].phase = SOLVED
         elif begun and self.doubtful(b) == 1:
@@ -159,7 +163,7 @@ class Verdicts:
 
     @ti.func
     def is_rounding(self, b, acting, noise):
-        """True if what acts on body b is rounding up to a noise [J], False where anything acts from outside."""
+        """True if what acts on body b, but for what acts on all of a free one alike, is rounding up to a noise [J]."""
         return acting <= noise and self.number[b].load == 0.0
 
     @ti.func
@@ -322,7 +326,8 @@ class Verdicts:
             left = scale
         indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
         ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
-        if not self.is_rounding(b, ti.max(scale, left), ADDED_NOISE * self.number[b].noise):
+        within = ti.min(self.number[b].within, scale)
+        if not self.is_rounding(b, ti.max(within, left), ADDED_NOISE * self.number[b].noise):
             left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
             ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:

@@ -223,5 +223,7 @@ def _largest(product: Any, shape: tuple[int, int]) -> float:
     size = shape[0] * shape[1]
     matrix = LinearOperator((size, size), matvec=lambda v: product(v.reshape(shape)).ravel(), dtype=np.float64)
     start = np.random.default_rng(0).normal(size=size)
+    if not matrix.matvec(start).any():  # nothing that resists can move
+        return 0.0
     value = eigsh(matrix, k=1, which="LA", v0=start, tol=CLOSE, return_eigenvectors=False)[0]
     return MARGIN * float(value)

@@ -219,6 +219,26 @@ def test_largest_rate_is_that_of_the_whole(dim) -> None:
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("dim", [2, 3])
+def test_solids_that_cannot_move_have_no_rate(dim) -> None:
+    scene = block(dim, 0.0, viscosity=3.0)
+    scene.set_balls(pinned=np.ones(scene.n_balls, dtype=bool))
+    assert element_rates(scene)[:2] == (0.0, 0.0)
+
+
+@pytest.mark.once
+def test_viscous_solids_that_cannot_move_have_no_loss() -> None:
+    points, corners = mesh((1, 1))
+    scene = ts.Scene(dim=2)
+    for viscosity in (2.0, 0.0):
+        first = scene.n_balls
+        scene.add_balls(points + (first, 0.0), radius=0.01, pinned=viscosity > 0.0)
+        scene.add_solids(corners + first, young_modulus=50.0, poisson_ratio=0.1, viscosity=viscosity)
+    rates = element_rates(scene)
+    assert rates.damping == 0.0 < rates.elastic
+
+
+@pytest.mark.once
 def test_solids_come_back_from_a_file(tmp_path) -> None:
     scene = block(3, viscosity=0.4)
     scene.save(tmp_path / "solids.toml")
