@@ -1,6 +1,5 @@
 """Ctrl-C is not lost where a library swallows it, or while something is started that cannot be closed."""
 
-import os
 import signal
 import time
 from contextlib import suppress
@@ -23,7 +22,8 @@ def _not_ignored():
 
 
 def interrupt(number=signal.SIGINT):
-    os.kill(os.getpid(), number)
+    """In this thread: another thread of the process might take what is sent to the process, and later."""
+    signal.raise_signal(number)
 
 
 def test_what_comes_while_it_is_held_back_comes_at_the_end():
