@@ -115,7 +115,9 @@ def _known(kind: Any, where: str, given: Any, needed: str | None = None) -> dict
     """The keys of a table, those that it may have. Raises SceneError for others."""
     known = [one.name for one in fields(kind)]
     if not isinstance(given, Mapping) or (needed is not None and needed not in given):
-        raise SceneError(where, given, f"a table of {', '.join(known)}" + (f", with {needed}" if needed else ""))
+        others = ", ".join(key for key in known if key != needed)
+        allowed = f"the key {needed}, and others" if needed else "keys"
+        raise SceneError(where, given, f"a table with {allowed} among {others}")
     for key in given:
         if key not in known:
             raise unknown_key(f"{where}.{key}", known, f"a key of {where.partition('[')[0]}")
