@@ -346,3 +346,9 @@ def test_a_recording_is_drawn_as_its_run_was(tmp_path):
     for name in names:
         assert (tmp_path / "frames" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
     assert ts.picture(scene, size=(160, 90)).size == (160, 90)
+    for size, says in (
+        ("a", "size: 'a' is not a vector of 2 numbers"),
+        ((9, 0), "size: (9, 0) is not allowed; it must be a"),
+    ):
+        with pytest.raises(ts.SceneError, match=re.escape(says)):
+            ts.picture(scene, size=size)
