@@ -73,7 +73,7 @@ class Overlay:
         probes: tables of probes whose values are shown, most with a curve.
         marks: tables of places where something is expected to be.
         plot: the corner of the curves.
-        plot_size: width and height of the curves, as shares of those of the picture [1].
+        plot_size: width and height of the curves, as shares of those of the picture, no smaller than can be read [1].
         plot_range: the lowest and the highest value of the curves; by default what they need.
         plot_label: what is written above the curves; their unit by default.
         text_size: height of the letters; a thirtieth of that of the picture by default [pixels].
