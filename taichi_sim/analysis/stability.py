@@ -61,7 +61,10 @@ def stability(
     if limit is None:
         return _unlimited(f"{method} declares no stability limit, so the step that is safe is not known")
     rates = _explicit(scene, method, custom)
-    if (scene.n_springs == 0 and not any(rates)) or scene.pinned.all():
+    idle = (
+        scene.n_springs == 0 and not any(rates) and (limit.by_springs or not any(one.acts(scene) for one in ELEMENTS))
+    )
+    if idle or scene.pinned.all():
         return _unlimited("no spring moves a ball: every step is stable")
     pushed = pushing_gas(scene) if method.single_pass and GASES in method.solved(scene) else np.inf
     if pushed < limit.of_elements(rates):

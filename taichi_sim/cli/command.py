@@ -184,6 +184,7 @@ def plain_errors() -> Iterator[None]:
         leave(INTERRUPTED)
     except SystemExit as end:
         if end.code in ENDED:
+            echo("taichi-sim: interrupted", err=True)
             leave(int(end.code))
         raise
     finally:

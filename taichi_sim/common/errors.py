@@ -74,7 +74,8 @@ class SceneError(ValueError):
 
     def __str__(self) -> str:
         at = None if self.file is None else f"{self.file}" + (f", line {self.line}" if self.line else "")
-        sentence = self.says if self.value is ... else f"{short(self.value)} {self.says}"
+        value = self.value if self.file is None else _as_in_file(self.value)
+        sentence = self.says if value is ... else f"{short(value)} {self.says}"
         return printable(": ".join(part for part in (at, key_name(self.path), sentence) if part))
 
 
@@ -129,6 +130,11 @@ def key_name(path: Sequence[str | int]) -> str:
         part if isinstance(part, int) or (part.isprintable() and len(part) <= LONGEST) else short(part) for part in path
     )
     return "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
+
+
+def _as_in_file(value: Any) -> Any:
+    """Tuples as lists, which files have in their place."""
+    return [_as_in_file(one) for one in value] if isinstance(value, (list, tuple)) else value
 
 
 def short(value: object) -> str:

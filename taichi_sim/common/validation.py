@@ -27,6 +27,7 @@ __all__ = [
     "one_of",
     "per_item",
     "require",
+    "rows_of_vectors",
     "strained",
     "strains",
     "tables",
@@ -185,6 +186,13 @@ def vectors(where: str, value: ArrayLike, n: int | None, dim: int) -> NDArray[np
         return array.copy()
     _shape(where, array, array.shape in ((dim,), (n, dim)), f"({dim},) or ({n}, {dim})")
     return np.broadcast_to(array, (n, dim)).copy()
+
+
+def rows_of_vectors(where: str, value: ArrayLike, n: int, count: int, dim: int) -> NDArray[np.float64]:
+    """Finite numbers as an array of shape (n, count, dim), of one also (count, dim). Raises SceneError."""
+    array = _array(where, value, f"a list of {count} {dim}-vectors for each of {n}")
+    _shape(where, array, array.shape in ((count, dim)[: 2 * (n == 1)], (n, count, dim)), f"({n}, {count}, {dim})")
+    return array.reshape(n, count, dim).copy()
 
 
 def vector(where: str, value: ArrayLike, dim: int) -> NDArray[np.float64]:

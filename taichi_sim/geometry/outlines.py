@@ -150,7 +150,9 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
     corners = 0
     box = drawing.bbox()
     if box is None or not math.isfinite(sum(box)) or box[3] <= box[1]:
-        raise SceneError(where, file, says="shows nothing that has an area")
+        sides = [f"{key} = {drawing.values[key]!r}" for key in ("width", "height") if key in drawing.values]
+        says = "shows nothing that has an area" + (f"; it is drawn with {' and '.join(sides)}" if sides else "")
+        raise SceneError(where, file, says=says)
     if max(map(abs, box)) > MOST_COORDINATE:
         raise SceneError(where, file, says=f"has coordinates beyond {MOST_COORDINATE:g}")
     step = CURVE_STEP * (box[3] - box[1])

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.colouring import Colouring
@@ -56,9 +58,9 @@ class Renderer:
         stage: str = "day",
         looks: Sequence[Mapping[str, Any]] = (),
     ) -> None:
-        width, height = (int(a) for a in size)
+        width, height = (int(side) for side in validation.vector("size", size, 2))
         if width < 1 or height < 1:
-            raise ValueError(f"size: {size} is not allowed; width and height must be at least 1")
+            raise SceneError("size", size, "a width and a height of at least 1 [pixels]")
         if subdivide not in (0, 1, 2):
             raise ValueError(f"subdivide: {subdivide!r} is not allowed; it must be 0, 1 or 2")
         if not 0 <= crease <= 180:

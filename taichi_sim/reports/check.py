@@ -19,7 +19,6 @@ from taichi_sim.analysis.methods import (
 )
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, sinking_spring, stability, without
-from taichi_sim.common.quantities import EXACT
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
@@ -28,6 +27,8 @@ EXPLICIT = (VERLET, SYMPLECTIC_EULER, RK4, EXPLICIT_EULER)
 STIFF = tuple(method for method in BUILT_IN_METHODS.values() if method not in EXPLICIT)
 MANY_PASSES = 20_000  # over the springs in a simulated second, from which a stiff method is worth a try
 MUCH_LONGER = 2.0  # times longer step without the limiting spring, from which that one alone is to blame
+LONGER = 1.01  # times longer, from which that is said
+NO_DECAY = 1e-9  # of a frequency: a rate of decay below it is rounding
 WRONG_DECAY = 0.05  # of a decay rate, from which its error is reported
 TOUCHES = 0.01  # of the radius: a gap that counts as none
 WRONG_IN_A_CYCLE = 0.01  # of a cycle's motion, likewise, where springs damp less
@@ -74,7 +75,9 @@ def _allowed(mode: Decay) -> float:
 def _decay(mode: Decay) -> str:
     """Words on the decay of a motion."""
     good = abs(mode.found - mode.exact) <= _allowed(mode)
-    exact, found = (rate if abs(rate) > EXACT * mode.frequency else 0.0 for rate in (mode.exact, mode.found))
+    exact, found = (rate if abs(rate) > NO_DECAY * mode.frequency else 0.0 for rate in (mode.exact, mode.found))
+    if exact == found == 0.0:
+        return f"{mode.frequency:.3g} Hz, does not decay, and does not with this step: good"
     return f"{mode.frequency:.3g} Hz, decays by {exact:.3g} a second; with this step by {found:.3g}{': good' * good}"
 
 
@@ -90,7 +93,8 @@ def lines(sim: Simulation) -> Iterator[str]:
         f"{'' if tolerance is None else f' at first; the tolerance of {tolerance:g} chooses it'}"
     )
     if used.limit is not None:
-        yield f"safe step             {_seconds(limits.dt_any_shape)}, however the scene deforms{_share(h, limits.dt_any_shape)}"
+        share = _share(h, limits.dt_any_shape, part_of_bound(scene, used))
+        yield f"safe step             {_seconds(limits.dt_any_shape)}, however the scene deforms{share}"
         yield f"safe at present       {_seconds(limits.dt_present)}, at the present positions alone"
     limiting = [f"{name} {one}" for name, one in (("spring", limits.spring), ("ball", limits.ball)) if one is not None]
     if limiting:
@@ -107,6 +111,7 @@ def lines(sim: Simulation) -> Iterator[str]:
     longer = np.inf
     if limits.spring is not None:
         longer = without(scene, used, limits.spring, custom)
+    if longer > LONGER * limits.dt_any_shape and limits.spring is not None:
         yield f"{f'without spring {limits.spring}':22}{_seconds(longer)} would be the safe step"
     yield ""
     explicit = any(not np.isinf(stability(scene, method, None, custom).dt_any_shape) for method in STIFF)
@@ -138,8 +143,12 @@ def _seconds(value: float) -> str:
     return "no limit" if np.isinf(value) else "none" if value == 0 else f"{value:.4g} s"
 
 
-def _share(h: float, safe: float) -> str:
-    return f"; the step used is {h / safe:.2g} of that" if 0 < safe < np.inf else ""
+def _share(h: float, safe: float, part: float) -> str:
+    """Words on the part of the safe step that is used, and why where that is the automatic part."""
+    if not 0 < safe < np.inf:
+        return ""
+    why = ", since a longer one lets large motion of undamped springs gain energy" if part < SAFETY else ""
+    return f"; the step used is {h / safe:.2g} of that{why * (abs(h / safe - part) < 0.01)}"
 
 
 def _advice(sim: Simulation, limits: Stability, longer: float) -> str:

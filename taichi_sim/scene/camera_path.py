@@ -79,7 +79,7 @@ class CameraPath:
         """Make a path from the keys of [output.camera]. Raises SceneError that names the key, the value and what is allowed."""
         known = KEYS_IN_2D if dim == 2 else [f.name for f in fields(cls) if f.name not in KEYS_IN_2D[:2]]
         if not isinstance(given, Mapping):
-            raise SceneError("camera", given, f"a table of {', '.join(known)}")
+            raise SceneError("camera", given, f"a table with keys among {', '.join(known)}")
         for key in given:
             if key not in known:
                 raise unknown_key(("camera", key), known, f"a key of a camera in {dim}D")

@@ -59,7 +59,7 @@ class Look:
         before. Raises SceneError that names `where`, the key and the value."""
         known = [f.name for f in fields(cls)]
         if not isinstance(given, Mapping) or "of" not in given:
-            raise SceneError(where, given, f"a table of {', '.join(known)}, with of")
+            raise SceneError(where, given, f"a table with the key of, and others among {', '.join(known[1:])}")
         for key in given:
             if key not in known:
                 raise unknown_key((where, key), known, "a key of a look")

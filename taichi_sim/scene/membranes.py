@@ -61,7 +61,8 @@ class MembraneMethods:
             raise SceneError("membranes", says="a membrane needs a scene with dim = 3")
         ij = validation.indices("membranes.corners", validation.many(corners, 1), self.n_balls, width=3)
         t = len(ij)
-        flat = flattened(self.position[ij]) if rest is None else _places(rest, t)
+        given = None if rest is None else validation.rows_of_vectors("membranes.rest", rest, t, 3, 2)
+        flat = flattened(self.position[ij]) if given is None else given
         edges = flat[:, 1:] - flat[:, :1]
         thin = np.linalg.det(edges) <= FLAT * np.sum(edges**2, axis=(1, 2))
         if thin.any():
@@ -90,16 +91,6 @@ def require_coupling(where: str, coupling: ArrayLike, warp: ArrayLike, weft: Arr
         most = np.sqrt(one.flat[int(np.argmax(over))])
         allowed = f"at most {most:.4g}, the root of warp times weft, and at least minus that"
         validation.require(where, both, ~over, allowed)
-
-
-def _places(rest: ArrayLike, t: int) -> Floats:
-    """`rest` (t, 3, 2), checked."""
-    places = validation.as_array(rest)
-    if places.shape == (3, 2):
-        places = places[None]
-    if places.shape != (t, 3, 2):
-        raise SceneError("membranes.rest", says=f"shape {places.shape} does not fit; it must be ({t}, 3, 2)")
-    return validation.vectors("membranes.rest", places.reshape(3 * t, 2), 3 * t, 2).reshape(t, 3, 2)
 
 
 def flattened(x: Floats, direction: Floats | None = None) -> Floats:

@@ -73,7 +73,7 @@ class Overlay:
         probes: tables of probes whose values are shown, most with a curve.
         marks: tables of places where something is expected to be.
         plot: the corner of the curves.
-        plot_size: width and height of the curves, as shares of those of the picture [1].
+        plot_size: width and height of the curves, as shares of those of the picture, no smaller than can be read [1].
         plot_range: the lowest and the highest value of the curves; by default what they need.
         plot_label: what is written above the curves; their unit by default.
         text_size: height of the letters; a thirtieth of that of the picture by default [pixels].
@@ -115,7 +115,9 @@ def _known(kind: Any, where: str, given: Any, needed: str | None = None) -> dict
     """The keys of a table, those that it may have. Raises SceneError for others."""
     known = [one.name for one in fields(kind)]
     if not isinstance(given, Mapping) or (needed is not None and needed not in given):
-        raise SceneError(where, given, f"a table of {', '.join(known)}" + (f", with {needed}" if needed else ""))
+        others = ", ".join(key for key in known if key != needed)
+        allowed = f"the key {needed}, and others" if needed else "keys"
+        raise SceneError(where, given, f"a table with {allowed} among {others}")
     for key in given:
         if key not in known:
             raise unknown_key(f"{where}.{key}", known, f"a key of {where.partition('[')[0]}")

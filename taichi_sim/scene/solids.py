@@ -67,7 +67,7 @@ class SolidMethods:
             ij[turned] = ij[turned][:, [1, 0, *range(2, dim + 1)]]
             places = self.position[ij]
         else:
-            places = _places(rest, e, dim)
+            places = validation.rows_of_vectors("solids.rest", rest, e, dim + 1, dim)
         sides = places[:, 1:] - places[:, :1]
         flat = np.linalg.det(sides) <= FLAT * np.abs(sides).max(axis=(1, 2), initial=0.0) ** dim
         for k in np.flatnonzero(flat):
@@ -82,18 +82,6 @@ class SolidMethods:
         columns = {"young_modulus": modulus, "poisson_ratio": ratio, "viscosity": loss, "rest": places}
         self.tables["solids"].append(e, corners=ij, **columns)
         return np.arange(first, first + e, dtype=np.int32)
-
-
-def _places(rest: ArrayLike, e: int, dim: int) -> Floats:
-    """`rest` (e, dim + 1, dim), checked."""
-    places = validation.as_array(rest)
-    if places.shape == (dim + 1, dim):
-        places = places[None]
-    if places.shape != (e, dim + 1, dim):
-        says = f"shape {places.shape} does not fit; it must be ({e}, {dim + 1}, {dim})"
-        raise SceneError("solids.rest", says=says)
-    count = e * (dim + 1)
-    return validation.vectors("solids.rest", places.reshape(count, dim), count, dim).reshape(e, dim + 1, dim)
 
 
 def shape_gradients(rest: Floats) -> tuple[Floats, Floats]:

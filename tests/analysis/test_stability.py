@@ -122,6 +122,13 @@ def test_check_names_what_limits_and_what_to_do():
     assert "without spring 1      0.1414 s would be the safe step" in text
     assert "spring 1 alone makes the step 100 times shorter; is its stiffness, or its ball's mass, meant?" in text
     assert "no limit" not in text
+    with simulate(scene, contacts="off", integrator="verlet") as sim:
+        assert "is 0.4 of that, since a longer one lets large motion of undamped springs" in "\n".join(check.lines(sim))
+    twin = ts.Scene(dim=2)
+    pairs = twin.add_balls([[0, 0], [1, 0], [0, 3], [1, 3]], radius=0.1).reshape(2, 2)
+    twin.add_springs(pairs, stiffness=100.0)
+    with simulate(twin, dt=1e-3, contacts="off") as sim:
+        assert "without spring" not in "\n".join(check.lines(sim))
     with simulate(scene, integrator="implicit_euler", contacts="off") as sim:
         text = "\n".join(check.lines(sim))
     assert "any step" in text
@@ -139,6 +146,14 @@ def test_check_of_scenes_without_springs_or_motion():
     scene.set_balls(pinned=True)
     with simulate(scene) as sim:
         assert "no spring moves a ball: every step is stable" in "\n".join(check.lines(sim))
+
+
+def test_an_implicit_method_names_itself_where_no_spring_moves_a_ball():
+    scene = ts.Scene(dim=2)
+    scene.add_solids([scene.add_balls([[0, 0], [1, 0], [0, 1]], radius=0.1)], young_modulus=1e3, poisson_ratio=0.3)
+    for name in ("implicit_euler", "tr_bdf2"):
+        with simulate(scene, integrator=name) as sim:
+            assert f"{name} is stable at any step" in sim.stability().reason
 
 
 def test_check_of_scenes_whose_cells_limit_the_step():

@@ -461,6 +461,26 @@ def test_cuda_without_a_gpu(folder):
     assert names(folder) == ["ball.toml", "stiff.toml"]
 
 
+@pytest.mark.parametrize("module", ["taichi_sim.common.printable", "typer.main"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_the_command_loads_is_no_traceback(tmp_path, module, number):
+    loading = f"""
+import os, runpy, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+class Signals:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{module}":
+            os.kill(os.getpid(), {int(number)})
+
+sys.meta_path.insert(0, Signals())
+runpy.run_module("taichi_sim", run_name="__main__")
+"""
+    done = subprocess.run([sys.executable, "-c", loading], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "taichi-sim: interrupted\n")
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")
 def test_nothing_is_kept_of_a_pipe_whose_reader_goes(folder):
     os.mkfifo(folder / "x.csv")
@@ -472,7 +492,8 @@ def test_nothing_is_kept_of_a_pipe_whose_reader_goes(folder):
 
 
 @pytest.mark.parametrize(
-    ("number", "status", "words"), [(signal.SIGINT, 130, "taichi-sim: interrupted"), (signal.SIGTERM, 143, "")]
+    ("number", "status", "words"),
+    [(signal.SIGINT, 130, "taichi-sim: interrupted"), (signal.SIGTERM, 143, "taichi-sim: interrupted")],
 )
 def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
     running = subprocess.Popen(

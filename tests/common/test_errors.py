@@ -17,6 +17,8 @@ def test_the_message_is_made_of_the_data():
     assert str(error) == "springs[3].pairs[12]: [0, 7] is not allowed; it must be two balls"
     error.file, error.line = "a.toml", 4
     assert str(error) == "a.toml, line 4: springs[3].pairs[12]: [0, 7] is not allowed; it must be two balls"
+    error.value = ((0, 7), (1, 2))  # a file has lists alone
+    assert "springs[3].pairs[12]: [[0, 7], [1, 2]] is not" in str(error)
     assert str(pickle.loads(pickle.dumps(error))) == str(error)
     assert str(ts.SceneError("balls.mass", "x", says="is not a number")) == "balls.mass: 'x' is not a number"
     assert str(ts.SceneError("wind", says="there is one already")) == "wind: there is one already"

@@ -276,6 +276,9 @@ def test_a_body_that_is_turned_inside_out_comes_back() -> None:
         ({"rest": [[0, 0], [0, 1], [1, 0]]}, r"solids.corners\[0\].*no volume at rest"),
         ({"rest": [1.0, 2.0]}, r"solids.rest: shape \(2,\) does not fit; it must be \(1, 3, 2\)"),
         ({"viscosity": -1.0}, r"solids.viscosity"),
+        ({"rest": [[[0, 0], [1, 0], [0, np.nan]]]}, r"solids.rest\[0\]\[2\]\[1\]: nan is not allowed"),
+        ({"rest": "flat"}, r"solids.rest: 'flat' is not a list of 3 2-vectors for each of 1"),
+        ({"rest": [[[0, 0], [1, 0], [0]]]}, r"solids.rest: .* is not a list of 3 2-vectors"),
     ],
 )
 def test_refusals(arguments, message) -> None:

@@ -256,7 +256,10 @@ def test_a_plot_as_large_as_the_picture_stays_within_it():
             {"probes": {"of": "a.x"}},
             "overlay.probes: {'of': 'a.x'} is not allowed; it must be a list of at most 20 tables",
         ),
-        ({"probes": [{"label": "a"}]}, "overlay.probes[0]: {'label': 'a'} is not allowed; it must be a table of of,"),
+        (
+            {"probes": [{"label": "a"}]},
+            "overlay.probes[0]: {'label': 'a'} is not allowed; it must be a table with the key of,",
+        ),
         (
             {"probes": [{"of": "b.x"}]},
             "overlay.probes[0].of: 'b.x' is no number of a probe of this scene; did you mean",
@@ -273,7 +276,7 @@ def test_a_plot_as_large_as_the_picture_stays_within_it():
         ({"marks": [{"position": [0, 0], "times": [1, 0]}]}, "overlay.marks[0].times: needs 1 to 100000 times"),
         ({"title": "a\nb"}, r"overlay.title: 'a\nb' is not allowed; it must be a text of one line and at most 200"),
         ({"marks": [{"position": [0, 0]}] * 21}, "overlay.marks: [{'position': [0, 0]}"),
-        ("clock", "overlay: 'clock' is not allowed; it must be a table of title, clock,"),
+        ("clock", "overlay: 'clock' is not allowed; it must be a table with keys among title, clock,"),
     ],
 )
 def test_refused(given, message):
@@ -343,3 +346,9 @@ def test_a_recording_is_drawn_as_its_run_was(tmp_path):
     for name in names:
         assert (tmp_path / "frames" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
     assert ts.picture(scene, size=(160, 90)).size == (160, 90)
+    for size, says in (
+        ("a", "size: 'a' is not a vector of 2 numbers"),
+        ((9, 0), "size: (9, 0) is not allowed; it must be a"),
+    ):
+        with pytest.raises(ts.SceneError, match=re.escape(says)):
+            ts.picture(scene, size=size)
