@@ -16,10 +16,8 @@ from taichi_sim.kernels.contacts import impact
 
 from taichi_sim.device.engine import ti
 
-IMPACTS_PER_BALL, FEW_IMPACTS = (
-    4,
-    64,
-)  # so many are noted in a step, on average, and at least; further ones throw nothing back
+IMPACTS_PER_BALL = 4  # in a step, on average, are noted; further ones throw nothing back
+FEW_IMPACTS = 64  # are noted at least
 
 
 @ti.func
