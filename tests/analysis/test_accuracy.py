@@ -112,13 +112,15 @@ def column_at_rest(n, stiffness, damping, gravity=G, pinned=()):
         pytest.param("implicit_euler", 6, 3e5, 50.0, 2e-3, 0.03, marks=pytest.mark.slow),
         pytest.param("tr_bdf2", 10, 1e5, 20.0, 4e-3, 0.1, marks=pytest.mark.slow),
         ("xpbd", 10, 1e5, 20.0, 2e-3, 0.1),
+        pytest.param("verlet", 6, 1e5, 600.0, 1e-3, 0.1, marks=pytest.mark.slow),
     ],
 )
 def test_springs_at_a_contact_bear_as_much_too_much_as_said(method, n, stiffness, damping, h, within):
     scene = column_at_rest(n, stiffness, damping)
     sim = simulate(scene, integrator=method, dt=h)
     told = said(sim, "load at contacts")
-    assert told.cure.startswith("take verlet, which knows of contacts, or substeps of")
+    assert told.cure.startswith("take verlet, which knows of contacts, or substeps of") == (method != "verlet")
+    assert "substeps of" in told.cure
     summary = export(sim, None, fps=1, duration=3.0)
     assert any(line.startswith("load ") for line in summary.lines())
     borne = stiffness * (scene.rest_length[0] - np.diff(sim.position[:2, 1])[0])
@@ -126,7 +128,10 @@ def test_springs_at_a_contact_bear_as_much_too_much_as_said(method, n, stiffness
     assert figure(told.what, "of its weight too much") == pytest.approx(excess, rel=within)
     step = figure(told.cure + ";", "s;")
     shorter = contact_loads.at_contacts(scene, sim.settings.integrator.method, step)
-    assert shorter.share(sim.settings.integrator.method, step) == pytest.approx(contact_loads.SHOWS, rel=0.1)
+    if method == "verlet":
+        assert shorter is None  # damping takes one stage there
+    else:
+        assert shorter.share(sim.settings.integrator.method, step) == pytest.approx(contact_loads.SHOWS, rel=0.1)
 
 
 def test_bodies_that_rest_on_nothing_bear_nothing_too_much():
