@@ -92,6 +92,10 @@ class Method:
         """Part of its angular momentum [1/s] that a free body loses which turns at a speed [rad/s]."""
         return 0.0
 
+    def precedes_contacts(self, scene: Scene, h: float) -> bool:
+        """True if springs, or their damping, are solved before it knows of contacts in steps of h seconds."""
+        return self.contacts_follow
+
     def spring_damping(self, scene: Scene, h: float) -> Floats:
         """(m,) N s/m of springs as steps of h seconds take it."""
         return scene.damping
@@ -155,6 +159,10 @@ class _Verlet(Method):
         if predicts_damping(scene):
             return scene.damping
         return np.where(lone(scene), scene.damping, softened(scene, 0.5 * h))
+
+    def precedes_contacts(self, scene: Scene, h: float) -> bool:
+        """True for damping so strong that it takes several stages in half a step of h seconds."""
+        return self.passes(scene, h) > 2
 
     def swing(self, part: float) -> float:
         """Swing of the energy where a step keeps v^2 + w^2 x^2 (1 - s^2), s = w h / 2."""
