@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
+from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
-from taichi_sim.common.quantities import measured
+from taichi_sim.common.quantities import measured, plain_number
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
 __all__ = ["Companion", "StepError"]
@@ -21,6 +22,9 @@ __all__ = ["Companion", "StepError"]
 ROUNDING = {"f32": 2.0**-24, "f64": 2.0**-53}  # of a number of its size
 CERTAIN = 8.0  # times the rounding of a number: differences above that are not of rounding alone
 NAMED = 2  # quantities with extremes between frames
+LOSES = 0.04  # of its amplitude in a step: motion that is gone before its peak
+RESOLVED = 0.3  # omega h, up to which methods of first order keep more than that
+SLOW = ("position",)  # kinds of probes that fast motion along springs hardly moves
 LAST = 8  # part of the frames by which the error of the last is judged
 
 
@@ -37,6 +41,9 @@ class StepError(NamedTuple):
     why: str = ""
     rounded: bool = False  # otherwise, too, in the second run
     runs: int = 2
+    hidden: str = (
+        ""  # motion of springs that the method takes away in all runs alike, in words; extremes are not known then
+    )
 
     @property
     def unseen(self) -> list[str]:
@@ -99,14 +106,21 @@ class Companion:
         )
         energies = [abs(a.energy - b.energy) for a, b in pairwise(runs)]
         least_energy = digit * float(np.abs(energy[:3]).sum())
+        hidden, places = _hidden(simulation), {one.name for one in simulation.scene.probes if one.kind in SLOW}
+        probes = {}
+        for name in runs[0].probes:
+            values = [run.probes[name] for run in runs]
+            blind = bool(hidden) and name.split(".")[0] not in places
+            probes[name] = _off(values, order, digit, steps, blind)
         return StepError(
             half,
             rms.error(rms.differences) + _rms(place),
             rms.error(largest) + float(place.max(initial=0.0)),
             _Judge(energies, least_energy * sqrt(steps), order).error(energies) + least_energy,
-            {name: _off([run.probes[name] for run in runs], order, digit, steps) for name in runs[0].probes},
+            probes,
             rounded=single,
             runs=len(runs),
+            hidden=hidden if any(np.isnan(off[1:]).all() for off in probes.values()) else "",
         )
 
     def between_frames(self, error: StepError, units: Mapping[str, str]) -> Iterator[str]:
@@ -210,9 +224,25 @@ class _Judge:
         return nan if np.isnan(of_step) else max(of_step, of_events)
 
 
-def _off(runs: list[list[float]], order: _Order, digit: float, steps: float = 1.0) -> tuple[float, float, float]:
+def _hidden(simulation: Any) -> str:
+    """Words on motion of springs that the method takes away within a few steps, so that no run shows it; empty where it keeps
+    that."""
+    scene, method, h = simulation.scene, simulation.settings.integrator.method, simulation.dt / simulation.substeps
+    omega = sqrt(largest_eigenvalue(scene, scene.stiffness)[0])
+    step = None if method.conserves or not omega else method.amplification(scene, omega, 0.0, h)
+    if step is None or np.abs(np.linalg.eigvals(step)).max() > 1.0 - LOSES:
+        return ""
+    return (
+        f"{method} damps motion of up to {plain_number(omega / (2.0 * np.pi))} Hz of the springs away in all runs alike; take"
+        f" verlet, or steps below {plain_number(RESOLVED / omega, 2)} s"
+    )
+
+
+def _off(
+    runs: list[list[float]], order: _Order, digit: float, steps: float = 1.0, blind: bool = False
+) -> tuple[float, float, float]:
     """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded;
-    steps: of the last run.
+    steps: of the last run. blind: to fast motion, so that extremes are known only where the runs agree to rounding.
 
     Differences that swing, and those of rounding, pass through 0: the last value is as wrong as the frames before it.
     """
@@ -224,6 +254,8 @@ def _off(runs: list[list[float]], order: _Order, digit: float, steps: float = 1.
         return nan, nan, nan
     values = [_summed_up(run) for run in runs]
     judge = _Judge([_rms(one) for one in apart], digit * sqrt(steps) * max(map(abs, values[0])), order)
+    if blind and judge.ratio < inf:
+        return judge.error(near) + digit * abs(values[0][0]), nan, nan
     ends = [near]
     for extreme in (np.nanargmin, np.nanargmax):
         # where runs have their extremes, the runs are as far apart as the extremes at least, and extremes may agree by luck

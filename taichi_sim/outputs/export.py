@@ -258,6 +258,8 @@ class Summary:
                 f"{'':12} not known of {', '.join(found.unseen)}: the runs do not come nearer to each other as the step falls;"
                 " take shorter steps"
             )
+        if found.hidden:
+            yield f"{'':12} not known of the extremes of probes: {found.hidden}"
         if self.left_out:
             yield not_included(self.left_out)
 

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from taichi_sim.analysis.methods import named as method_named
 from taichi_sim.common.quantities import EXACT, measured
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import Compared
@@ -23,8 +24,10 @@ from taichi_sim.reports.speed_error.rows import (
 )
 from taichi_sim.reports.speed_error.statistics import Interval
 from taichi_sim.scene.scene import Scene
+from taichi_sim.simulation.settings import part_of_bound
 
 MOST_NAMED = 3  # runs that are as fast as the best
+LONG_RUN = "Of runs below, only those with steps that are safe in the long run count, as `tune` takes them:"
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6)
 
 
@@ -70,10 +73,16 @@ class Findings:
         """Stable rows whose errors say more of the reference than of the method."""
         return [row for row in self.rows if row.verdict == STABLE and not tells(row, self.reference.known)]
 
+    @property
+    def lasting(self) -> list[Row]:
+        """Rows whose steps are safe in the long run, those that `tune` tries: only they are recommended."""
+        most = {method: part_of_bound(self.scene, method_named(method)) for method in self.plan.methods}
+        return [row for row in self.rows if (row.part_of_safe_step or 0.0) <= most.get(row.method, 1.0) * (1.0 + 1e-9)]
+
     def fastest(self, tolerances: tuple[float, ...] = TOLERANCES) -> Iterator[tuple[float, list[Row]]]:
         """The cheapest rows for each tolerance, that of the plan among them; several where they are equally fast."""
         for tolerance in sorted({*tolerances, self.plan.tolerance}, reverse=True):
-            yield tolerance, cheapest(self.rows, tolerance, self.reference.motion, self.reference.known)
+            yield tolerance, cheapest(self.lasting, tolerance, self.reference.motion, self.reference.known)
 
     @property
     def compared(self) -> Compared:
@@ -166,6 +175,8 @@ class Findings:
                 )
         if any(row.rms_error is not None for row in self.rows):
             yield ""
+            if len(self.lasting) < len(self.rows):
+                yield LONG_RUN
             for tolerance, best in self.fastest((1e-2, 1e-3, 1e-4)):
                 yield f"fastest with an error below {100 * tolerance:g} %: {choice(best)}"
         for verdict, words in ((UNSTABLE, "became unstable"), (LEFT_OUT, "left out")):

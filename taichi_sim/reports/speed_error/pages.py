@@ -15,7 +15,8 @@ NOTES = """h / safe: the step as a part of the one that is safe in every shape. 
 Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments.
 Drift: of the total energy from the reference's, as a part of the largest kinetic and spring energy. Times: of the
 processor, all threads together (on a GPU: wall time), the least of repeated runs, without compiling; noise: by how much
-a usual run takes longer. Bold: no other run is both faster and more accurate."""
+a usual run takes longer. Bold: no other run is both faster and more accurate.
+Fastest: of the runs with steps that are safe in the long run, as `tune` takes them."""
 
 
 def write_pages(findings: Findings, folder: ReportFolder) -> None:
