@@ -117,11 +117,15 @@ def check_tearing(scene: Scene) -> None:
             raise SceneError("springs.break_strain", says=says)
 
 
-def inverted(scene: Scene, x: Floats) -> int:
-    """Number of cells, bricks and solids that are flat or turned inside out, bricks at any corner. x: (n, dim) [m]."""
-    simplices = sum(np.count_nonzero(cell_volumes(x, corners) <= 0.0) for corners in (scene.cells, scene.solids))
-    bricks = corner_volumes(x, scene.bricks) <= 0.0
-    return int(simplices + np.count_nonzero(bricks.any(axis=1)))
+def inverted(scene: Scene, x: Floats, torn: NDArray | None = None) -> int:
+    """Number of cells, bricks and solids that are flat or turned inside out, bricks at any corner. x: (n, dim) [m]; torn: (k, 2)
+    balls of torn springs, whose elements are no more."""
+    cells, solids, bricks = (
+        corners if torn is None else corners[~cut(corners, torn, scene.n_balls)]
+        for corners in (scene.cells, scene.solids, scene.bricks)
+    )
+    simplices = sum(np.count_nonzero(cell_volumes(x, corners) <= 0.0) for corners in (cells, solids))
+    return int(simplices + np.count_nonzero((corner_volumes(x, bricks) <= 0.0).any(axis=1)))
 
 
 def momentum(scene: Scene, v: Floats) -> Floats:

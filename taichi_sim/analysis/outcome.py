@@ -69,8 +69,8 @@ def untouched(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(kept if len(kept) == len(names) else [*kept, "contacts that no frame shows"])
 
 
-def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
-    """Names of those of restitution, friction and damping that take energy in a scene. touches: there may be contacts. Of
+def takers(scene: Scene, touches: bool, tore: bool = False) -> tuple[str, ...]:
+    """Names of what takes energy in a scene. touches: there may be contacts; tore: springs have torn. Of
     two materials the larger restitution and the geometric mean of frictions count, so those of the balls decide."""
     made_of = [scene.materials[k] for k in np.unique(scene.material)] if touches else []
     losses = (scene.damping, scene.bend_damping, scene.brick_viscosity, scene.solid_viscosity)
@@ -78,6 +78,7 @@ def takers(scene: Scene, touches: bool) -> tuple[str, ...]:
         "restitution": any(m.restitution < 1.0 for m in made_of),
         "friction": any(m.friction > 0.0 or m.viscous_friction > 0.0 for m in made_of),
         "damping": any(of.any() for of in losses),
+        "tearing": tore,
     }
     return tuple(name for name, takes in found.items() if takes)
 

@@ -21,8 +21,10 @@ class NeoHookean(Corners):
     @ti.func
     def doubled_density(self, gradient, law):
         """Twice the energy per volume at rest [Pa, in 2D N/m]; 0 at rest."""
-        shape, off = gradient.norm_sqr() + (3 - self.dim), gradient.determinant() - law.alpha
-        return law.m * (shape - 3.0 - ti.log((shape + 1.0) / 4.0)) + law.k * (off * off - (1.0 - law.alpha) ** 2)
+        shape, change = gradient.norm_sqr() + (3 - self.dim), gradient.determinant()
+        # (J - alpha)^2 - (1 - alpha)^2, which rounding would not leave 0 at rest
+        pressed = (change - 1.0) * (change + 1.0 - 2.0 * law.alpha)
+        return law.m * (shape - 3.0 - ti.log((shape + 1.0) / 4.0)) + law.k * pressed
 
     @ti.func
     def stress_of(self, gradient, law):

@@ -594,7 +594,7 @@ def _observed(
         summary.steady += not clock.starts
         frame.contacts, frame.probes = simulation.contacts(), simulation.probes()
         if simulation.scene.n_volumes() <= WATCHED_CELLS:
-            _count_inverted(summary, inverted(simulation.scene, frame.position))
+            _count_inverted(summary, inverted(simulation.scene, frame.position, frame.torn_springs))
         _observe(summary, frame)
         if frame.contacts.number:
             h = simulation.dt / frame.contacts.substeps

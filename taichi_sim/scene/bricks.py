@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
-from taichi_sim.scene.neo_hookean import MOST_RATIO, STRETCHED, density, lame
+from taichi_sim.scene.neo_hookean import CANCELLING, MOST_RATIO, STRETCHED, density, lame
 from taichi_sim.scene.part import Columns, Element
 
 __all__ = [
@@ -128,6 +128,11 @@ class _Bricks(Columns, Element):
         )
         stored += 0.5 * np.einsum("bpi,bpiqj,bqj->b", strain, stiff[law.ravel()], strain)
         return stored * scene.brick_size.prod(axis=1)  # type: ignore[no-any-return]
+
+    def cancelling(self, scene: Any) -> float:
+        """Those of the material."""
+        mu = lame(scene.dim, scene.brick_modulus, scene.brick_ratio)[0]
+        return float(np.sum(scene.brick_size.prod(axis=1) * CANCELLING * mu))
 
     def further_rates(self, scene: Any) -> tuple[float, float]:
         """Largest of all bricks alone at rest, each with its part of the masses of its balls, which is a bound."""

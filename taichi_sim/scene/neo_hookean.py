@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MOST_RATIO", "STRETCHED", "constants", "density", "in_plane_strain", "lame"]
+__all__ = ["CANCELLING", "MOST_RATIO", "STRETCHED", "constants", "density", "in_plane_strain", "lame"]
 
 Floats = NDArray[np.float64]
 MOST_RATIO = {2: 0.9996, 3: 0.4999}  # Poisson's, by the dimensions: in 2D that of plane strain with the other
+CANCELLING = 4.0  # times mu: terms of the energy per volume that cancel each other at rest
 STRETCHED = 4.0  # times the stiffness at rest: a face that is stretched to twice its area
 
 

@@ -126,6 +126,10 @@ class Element(Part):
         """Quadratic forms of the power that it dissipates, in velocities in place of displacements."""
         return []
 
+    def cancelling(self, scene: Any) -> float:
+        """Joule of terms of its energy that cancel each other at rest, but for rounding."""
+        return 0.0
+
     def further_rates(self, scene: Any) -> tuple[float, float]:
         """Terms to add to the largest eigenvalues of M^-1 K [1/s^2] and M^-1 D [1/s] of its quadratic forms."""
         return 0.0, 0.0

@@ -12,7 +12,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.columns import Column
-from taichi_sim.scene.neo_hookean import MOST_RATIO, STRETCHED, density, lame
+from taichi_sim.scene.neo_hookean import CANCELLING, MOST_RATIO, STRETCHED, density, lame
 from taichi_sim.scene.part import Columns, Element
 
 __all__ = ["OWN_SHARE", "SOLIDS", "Averages", "SolidMethods", "averages", "operators", "rates_of", "shape_gradients"]
@@ -144,6 +144,18 @@ class _Solids(Columns, Element):
         off = np.sum((each[:, None] - mean[at.places]) ** 2, axis=(2, 3))
         own = 0.5 / k * np.sum(part[:, None] * at.own[at.places] * off)
         return [float(np.sum(there * density(mean, at.mu, at.lam))), float(own)]
+
+    def cancelling(self, scene: Any) -> float:
+        """Those of the material, and of what elements have of their own, which kernels sum over pairs of balls."""
+        if not len(scene.solids):
+            return 0.0
+        gradient, volume = shape_gradients(scene.solid_rest)
+        at = _averages_of(scene)
+        link = np.abs(np.einsum("eia,eja->eij", gradient, gradient))
+        square = np.sum((scene.solid_rest[:, :, None] - scene.solid_rest[:, None]) ** 2, axis=3)
+        sizes = 0.25 * np.sum(link * square, axis=(1, 2)) + 0.5 * scene.dim
+        mu = lame(scene.dim, scene.solid_modulus, scene.solid_ratio)[0]
+        return float(np.sum(volume * (sizes * at.own[at.places].mean(axis=1) + CANCELLING * mu)))
 
     def further_rates(self, scene: Any) -> tuple[float, float]:
         """Largest of the elements at rest, with room for what is stretched."""

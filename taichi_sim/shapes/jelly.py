@@ -135,6 +135,8 @@ def jelly(
     if mesh is None:
         if spacing is not None:
             raise SceneError("jelly.spacing", says="is for a mesh; a block has a resolution")
+        if fill != "voxels":
+            raise SceneError("jelly.fill", fill, says="is for a mesh; a block is made of boxes")
         if up is not None:
             raise SceneError("jelly.up", says="is for a mesh; give position and rotation instead")
         block = _block(scene.dim, size, resolution)

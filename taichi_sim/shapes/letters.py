@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -27,6 +28,7 @@ __all__ = ["svg", "text"]
 KINDS = ("jelly", "cloth", "collider")
 SPACINGS = 12  # in the height, by default
 SLICES = 4  # depths in the height, by default
+SPECK = 0.1  # of the spacing: what is smaller would only shorten the steps of all
 EDGE_BALL = 0.05  # of the spacing: balls at the ends of the sticks that are a collider in 2D
 ELASTIC = ("density", "young_modulus", "poisson_ratio")
 WOVEN = ("mass_per_area", "stretch_stiffness", "bending_rigidity")
@@ -117,6 +119,7 @@ def svg(
     origin.
 
     Areas that do not touch, or have different colours, are bodies of their own. Lines without a filling are left out.
+    So are, of jelly and cloth, pieces smaller than a tenth of the spacing, with a warning.
 
     Args:
         file: an .svg file. height: of all of it [m].
@@ -148,7 +151,7 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
     spacing = or_default(f"{shape}.spacing", given["spacing"], height / SPACINGS)
     depth = or_default(f"{shape}.depth", given["depth"], height / SLICES)
     layers = max(1, round(depth / spacing))
-    found = read()
+    found = read() if kind == "collider" else _without_specks(shape, read(), spacing)
     balls = sum(one.polygon.area for one in found) / spacing**2 * (layers + 2 if kind == "jelly" and dim == 3 else 2)
     affordable(f"{shape}.spacing", spacing, balls, 0, solids=6 * balls)
     meshes = [polygon_mesh.filled(f"{shape}.spacing", one.polygon, spacing) for one in found]
@@ -182,6 +185,23 @@ def _add(scene: Scene, shape: str, read: Any, given: dict[str, Any]) -> Shape:
         if kind != "collider":
             _pin(scene, shape, made, own, faces, given["pinned"])
     return Shape.of(made)
+
+
+def _without_specks(shape: str, found: list[outlines.Outline], spacing: float) -> list[outlines.Outline]:
+    """Those outlines that are not far smaller than the spacing [m]; all, if each is. Warns of what is left out."""
+    sizes = np.array([np.ptp(np.reshape(one.polygon.bounds, (2, 2)), axis=0).max() for one in found])
+    kept = [one for one, size in zip(found, sizes) if size >= SPECK * spacing]
+    if not kept or len(kept) == len(found):
+        return found
+    first = int(np.argmin(sizes))
+    x, y = np.reshape(found[first].polygon.bounds, (2, 2)).mean(axis=0)
+    warnings.warn(
+        f"{shape}: {len(found) - len(kept)} of {len(found)} pieces are left out: they are smaller than {SPECK:g} of the"
+        f" spacing, {spacing:.3g} m; the smallest is {sizes[first]:.3g} m wide, at ({x:.3g}, {y:.3g}) m; a finer spacing keeps"
+        " them",
+        stacklevel=5,
+    )
+    return kept
 
 
 def _radius(given: dict[str, Any], spacing: float) -> float:

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taichi_sim.analysis.methods import Method
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size"]
@@ -36,6 +37,7 @@ SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
 WORK_GROWTH = 100.0  # times what a driven scene had before: the bound is asked then
 DIGITS = 64.0  # units of rounding that sums and positions may differ by
+CANCELLED = 4.0  # the same, of terms that cancel at rest
 
 
 def size(scene: Scene) -> float:
@@ -68,6 +70,7 @@ class EnergyMonitor:
         eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
         self.digits = DIGITS * eps
         far = float(np.max(np.abs(scene.position), initial=0.0))
+        self.cancelled = CANCELLED * eps * sum(element.cancelling(scene) for element in ELEMENTS)
         self.jitter = 0.5 * float(np.sum(scene.stiffness)) * (self.digits * far) ** 2
         self.slack = _overlap(scene) if contacts else 0.0
         self.least, self.most = np.inf, 0.0
@@ -101,8 +104,9 @@ class EnergyMonitor:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
         return (
             self.digits * (sample.weight + sample.motion)
+            + self.cancelled
             + self.jitter
-            + 2.0 * float(np.sqrt(sample.elastic * self.jitter))
+            + 2.0 * float(np.sqrt(max(0.0, sample.elastic) * self.jitter))
         )
 
 

@@ -322,8 +322,9 @@ class Simulation(Reader):
         return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
-        """Number of cells, bricks and solids that are flat or turned inside out. Every jelly has some."""
-        return diagnostics.inverted(self.scene, self.position)
+        """Number of cells, bricks and solids that are flat or turned inside out, and not torn. Every jelly has some."""
+        torn = self.torn
+        return diagnostics.inverted(self.scene, self.position, None if torn is None else self.scene.pairs[torn])
 
     def error(self) -> ErrorEstimate | None:
         """Error that its control found so far; None without `tolerance`."""

@@ -312,11 +312,11 @@ class Stepper:
         """Scales by which the run is judged."""
         scene, monitor = self.scene, self.monitor
         part = self.h / self.safe.dt_any_shape if self.safe.dt_any_shape > 0 else 0.0
-        touches = self.parts.contacts.active
+        touches, torn = self.parts.contacts.active, self.parts.torn
         return Scales(
             slow=2.0 * float(np.linalg.norm(scene.gravity)) * self.h,
             drivers=self.drivers,
-            takers=takers(scene, touches),
+            takers=takers(scene, touches, torn is not None and bool(torn.any())),
             motion=max(monitor.most, self.largest_motion),
             swing=1.0 - 1.0 / self.method.swing(min(part, LARGEST_PART)),
             swing_power=self.method.swing_power,

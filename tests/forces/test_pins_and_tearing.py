@@ -11,6 +11,7 @@ from scene_files import assert_refused, assert_unchanged
 from trajectories import pierced
 
 import taichi_sim as ts
+from taichi_sim.analysis import diagnostics
 from taichi_sim.scene.document import document
 
 pytestmark = pytest.mark.long_in("f64")
@@ -477,3 +478,21 @@ def test_friction_holds_a_ball_on_a_turning_surface_of_pins():
     turned = (np.arctan2(-x[2], x[0]) - angle - rate * 1.0 + np.pi) % (2 * np.pi) - np.pi
     assert abs(np.hypot(x[0], x[2]) - out) < (1e4 * EPS)
     assert abs(turned) < (1e4 * EPS)
+
+
+def test_what_tore_is_not_counted_as_inverted_and_took_energy():
+    scene = ts.Scene(dim=2, gravity=(0.0, 0.0))
+    corner = np.array([[0.0, 0.0], [0.8, 0.0], [0.0, 0.6], [0.9, 0.7]])
+    scene.add_balls(corner, mass=0.3, radius=0.01, velocity=[[0, 0], [0, 0], [0, 0], [-4.0, -4.0]])
+    scene.add_springs([[1, 3]], stiffness=1.0, break_strain=0.1)
+    scene.add_solids([[0, 1, 2], [1, 3, 2]], young_modulus=10.0, poisson_ratio=0.3)
+    scene.set_balls(pinned=[True, True, True, False])
+    with simulate(scene, dt=1e-3, contacts="off") as sim:
+        assert "tearing" not in sim.scales().takers
+        sim.set_position(corner + np.array([[0, 0], [0, 0], [0, 0], [0.5, 0.5]]))
+        sim.set_velocity(np.array([[0, 0], [0, 0], [0, 0], [-4.0, -4.0]]))
+        sim.run(0.6)
+        assert sim.torn.tolist() == [True]
+        assert diagnostics.inverted(sim.scene, sim.position) == 1
+        assert sim.inverted() == 0
+        assert "tearing" in sim.scales().takers

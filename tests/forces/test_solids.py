@@ -232,7 +232,7 @@ def test_viscous_solids_that_cannot_move_have_no_loss() -> None:
     scene = ts.Scene(dim=2)
     for viscosity in (2.0, 0.0):
         first = scene.n_balls
-        scene.add_balls(np.add(points, (first, 0.0)), radius=0.01, pinned=viscosity > 0.0)
+        scene.add_balls(points + np.array([first, 0.0]), radius=0.01, pinned=viscosity > 0.0)
         scene.add_solids(corners + first, young_modulus=50.0, poisson_ratio=0.1, viscosity=viscosity)
     rates = element_rates(scene)
     assert rates.damping == 0.0 < rates.elastic

@@ -263,6 +263,8 @@ REFUSED = [
     ({"mesh": icosphere(1), "spacing": 1e-6}, r"jelly\.spacing: 1e-06 .*GB of memory.*coarser"),
     ({"resolution": (20000, 20000, 20000)}, r"jelly\.resolution: \(20000.* 8e\+12 balls .*GB of memory.*coarser"),
     ({"spacing": 1.0}, r"jelly\.spacing: is for a mesh"),
+    ({"fill": "tetrahedra"}, r"jelly\.fill: .*is for a mesh"),
+    ({"fill": "tetrahedra", "young_modulus": 1e4}, r"jelly\.fill: .*is for a mesh"),
     ({"young_modulus": 1.0, "stiffness": 1.0}, r"jelly\.young_modulus: does not go with stiffness"),
     ({"density": 1.0, "mass": 1.0}, r"jelly\.density: does not go with mass"),
 ]

@@ -14,6 +14,7 @@ from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import stepper
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.state_probe import StateSample
+from tests.forces.test_solids import mesh
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -394,3 +395,33 @@ def test_what_works_on_a_scene_is_named():
     scene.add_wind(velocity=(1, 0, 0))
     with ts.Simulation(scene, dt=1e-3, contacts="off") as sim:
         assert sim.scales().drivers == ("wind",)
+
+
+def resting(kind: str, dim: int) -> ts.Scene:
+    """Bricks or solids at rest, with nothing to move them."""
+    points, corners = mesh((2, 1, 1)[:dim])
+    scene = ts.Scene(dim=dim, gravity=(0.0,) * dim)
+    scene.add_balls(points * 0.7 + 0.1, mass=2.0, radius=0.01)
+    material = {"young_modulus": 370.0, "poisson_ratio": 0.42}
+    if kind == "solids":
+        scene.add_solids(corners, **material)
+    else:
+        layers = np.arange(scene.n_balls).reshape(3, -1)
+        scene.add_bricks(np.hstack([layers[:-1], layers[1:]]), **material)
+    return scene
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", ["bricks", "solids"])
+def test_rest_is_no_growth(kind, dim):
+    with simulate(resting(kind, dim), dt=1e-3, contacts="off") as sim, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for _ in range(8):
+            sim.step()
+
+
+@pytest.mark.once
+def test_energy_below_0_by_rounding_is_judged():
+    watch = EnergyMonitor(stiffening(), VERLET, 0.5, closed=True, contacts=False, precision="f32")
+    watch.begin(look(0.0, -1e-20))
+    assert watch.judge(look(0.5, -1e-20)) == (-1e-20, 0.5 - 1e-20, True)
