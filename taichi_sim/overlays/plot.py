@@ -58,7 +58,7 @@ Axis = tuple[list[float], list[str]]  # places of marks, and what is written the
 
 
 def _marked(low: float, high: float, parts: float, fits: Callable[[Axis], bool], unit: str = "") -> Axis:
-    """As many marks of an axis as `parts` allows whose labels fit; where not even two do, the first."""
+    """Marks of an axis, as many as `parts` allows whose labels fit; where not even two do, the first."""
     for number in range(max(2, int(parts)), 0, -1):
         marks, places = ticks(low, high, number)
         axis = marks, labels_of(marks, places, unit)
