@@ -283,7 +283,7 @@ def test_a_speck_of_a_drawing_is_left_out_with_a_word(tmp_path):
     marks = rect.format(0, 6) + rect.format(8, 0.002) + rect.format(9, 0.4)
     file.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 10 10">{marks}</svg>')
     scene = ts.Scene(dim=2)
-    with pytest.warns(UserWarning, match=r"svg: 1 of 3 pieces are left out, .*0\.00\d* m wide, at \(") as told:
+    with pytest.warns(UserWarning, match=r"svg: 1 of 3 pieces are left out: .*0\.00\d* m wide, at \(") as told:
         ts.shapes.svg(scene, file, 3.0, spacing=1.0)
     assert told[0].filename == __file__
     assert np.ptp(scene.position[scene.solids], axis=1).min() > 0.1
