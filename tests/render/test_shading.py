@@ -371,7 +371,7 @@ def test_looks_that_are_refused(tmp_path):
             {"of": "flga"},
             r"looks\[0\].of: 'flga' is not allowed; it must be the name of a shape or of a collider: flag",
         ),
-        ({"pattern": "checks"}, "with of"),
+        ({"pattern": "checks"}, "the key of"),
         ({"of": "flag", "glos": 1}, "did you mean 'gloss'"),
         ({"of": "flag", "gloss": 2}, r"looks\[0\].gloss: 2"),
         ({"of": "flag", "pattern": "dots"}, "'plain', 'stripes', 'checks'"),
