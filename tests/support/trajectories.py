@@ -167,8 +167,9 @@ def in_calls(sim, start, steps, calls):
 
 
 def in_frames(sim, start, steps, fps):
-    """As frames of so many a second; steps that are left are made at the end."""
+    """As frames of so many a second, or of at least two in all; steps that are left are made at the end."""
     sim.resume(start)
+    fps = max(fps, 2.0 / (steps * sim.dt))
     for _ in sim.frames(fps=fps, duration=steps * sim.dt - 1.0 / fps):  # none beyond the end
         pass
     sim.step(steps - round(sim.time / sim.dt))
