@@ -116,7 +116,7 @@ def test_a_path_that_leads_nowhere_is_named(files, name, path, why):
 @pytest.mark.parametrize(
     ("name", "path", "value", "why"),
     [
-        ("s.toml", "gravity[0]", True, r"s\.toml: gravity: \(True, -10\.0\) is not a vector of 2 numbers"),
+        ("s.toml", "gravity[0]", True, r"s\.toml: gravity: \[True, -10\.0\] is not a vector of 2 numbers"),
         ("s.toml", "balls[0].position[0][1]", False, r"s\.toml: balls\[0\]\.position: .* is not a list"),
         ("s.toml", "materials.rubber", 3, r"s\.toml: materials\[0\]: 3 is not allowed; it must be a table"),
         ("s.toml", "balls.one.radius", -1, r"s\.toml: balls\[0\]\.radius: -1(\.0)? is not allowed; it must be greater"),
