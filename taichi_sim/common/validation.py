@@ -241,6 +241,15 @@ def indices(
     return array.astype(np.int32)
 
 
+def corners(where: str, value: ArrayLike, limit: int, width: int) -> NDArray[np.int32]:
+    """Different balls of each element, of one or of many, (e, width). Raises SceneError."""
+    found = indices(where, many(value, 1), limit, width=width)
+    ordered = np.sort(found, axis=1)
+    for k in np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1)):
+        raise SceneError(f"{where}[{k}]", found[k], says=f"names a ball twice; give {width} different")
+    return found
+
+
 def bits(where: str, value: ArrayLike) -> NDArray[np.int32]:
     """Integers of 32 bits with a sign, (k,). Raises SceneError."""
     array = as_array(value)

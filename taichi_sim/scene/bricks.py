@@ -61,11 +61,8 @@ class BrickMethods:
             rest_size: (b, dim) or (dim,), > 0 [m]: sides of the box at rest. None: the present ones, of bricks that are boxes.
         """
         dim = self.dim
-        ij = validation.indices("bricks.corners", validation.many(corners, 1), self.n_balls, width=2**dim)
+        ij = validation.corners("bricks.corners", corners, self.n_balls, 2**dim)
         b = len(ij)
-        ordered = np.sort(ij, axis=1)
-        for k in np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1)):
-            raise SceneError(f"bricks.corners[{k}]", ij[k], says=f"names a ball twice; give {2**dim} different")
         modulus = validation.per_item("bricks.young_modulus", young_modulus, b, positive=True)
         ratio = validation.per_item("bricks.poisson_ratio", poisson_ratio, b, low=0, high=MOST_RATIO[dim])
         loss = validation.per_item("bricks.viscosity", viscosity, b, low=0)

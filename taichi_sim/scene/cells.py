@@ -60,13 +60,8 @@ class CellMethods:
             together: (c,) whole numbers: cells with the same one, from 0 on, resist a change of their volumes' sum alone, as one
                 of their mean modulus; -1 or None: each its own.
         """
-        ij = validation.indices("cells.corners", validation.many(corners, 1), self.n_balls, width=self.dim + 1)
+        ij = validation.corners("cells.corners", corners, self.n_balls, self.dim + 1)
         c = len(ij)
-        ordered = np.sort(ij, axis=1)
-        twice = (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
-        if twice.any():
-            k = int(np.argmax(twice))
-            raise SceneError(f"cells.corners[{k}]", ij[k], says=f"names a ball twice; give {self.dim + 1} different")
         modulus = validation.per_item("cells.bulk_modulus", bulk_modulus, c, low=0)
         crush = validation.per_item("cells.crush_modulus", crush_modulus, c, low=0)
         present = cell_volumes(self.position, ij)

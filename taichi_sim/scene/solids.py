@@ -57,11 +57,8 @@ class SolidMethods:
             rest: (e, dim + 1, dim) corners at rest [m], of positive volume; None: the present ones.
         """
         dim = self.dim
-        ij = validation.indices("solids.corners", validation.many(corners, 1), self.n_balls, width=dim + 1)
+        ij = validation.corners("solids.corners", corners, self.n_balls, dim + 1)
         e = len(ij)
-        ordered = np.sort(ij, axis=1)
-        for k in np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1)):
-            raise SceneError(f"solids.corners[{k}]", ij[k], says=f"names a ball twice; give {dim + 1} different")
         if rest is None:
             turned = cell_volumes(self.position, ij) < 0
             ij[turned] = ij[turned][:, [1, 0, *range(2, dim + 1)]]

@@ -179,7 +179,7 @@ def spindle(length):
 
 
 def test_a_mesh_with_tips_that_no_brick_fills():
-    """What is said is the distance of the tip from the nearest brick; the spacing that is advised leaves nothing to be said."""
+    """The distance said is that of the tip from the nearest brick. With the advised spacing nothing is said."""
     scene = ts.Scene(dim=3)
     body = ts.shapes.jelly(scene, mesh=spindle(0.6), spacing=0.08, rotation=(20, 0, 30), position=(1, 2, 3))
     ((what, cure),) = beyond_bricks(scene)

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.long  # compiling takes most of it
 
 
 def residual(scene: ts.Scene, v: np.ndarray, h: float) -> np.ndarray:
-    """What is left of m (v - v0) = h F(x + h v) [N s], (n, dim)."""
+    """Residual of m (v - v0) = h F(x + h v) [N s], (n, dim)."""
     return scene.mass[:, None] * (v - scene.velocity) - h * downhill(scene, scene.position + h * v)
 
 

@@ -72,7 +72,7 @@ def on_cpu(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def in_double(tmp_path_factory):
-    """What the CPU finds of the stiff scenes in double precision, by default settings and where stages are solved to rounding."""
+    """Results of the CPU for the stiff scenes in double precision, by default settings and with stages solved to rounding."""
     file = tmp_path_factory.mktemp("double") / "found.npz"
     command = [sys.executable, str(Path(device_scenes.__file__)), "cpu", str(file), *device_scenes.STIFF]
     subprocess.run(command, env={**os.environ, "TAICHI_SIM_PRECISION": "f64"}, check=True)
