@@ -15,7 +15,6 @@ out what overlaps, as in all iterations: some contact of a pile at rest may clos
 
 from taichi_sim.kernels.contacts import pair_impacts, pair_solve, wall_impacts
 from taichi_sim.kernels.contacts.line_search import FURTHEST_EXTENSION, best_extension, last_change
-from taichi_sim.kernels.contacts.pair_colours import EVERY_COLOUR
 
 from taichi_sim.device.engine import ti
 
@@ -54,10 +53,7 @@ def iterate_block(b, solver: ti.template(), ball: ti.template(), now, time):
             i = solver.pairs.grid.order[k]
             if solver.disturbed[i] >= first:
                 for t in range(solver.pairs.touching[i]):
-                    if (
-                        pair_solve.solve_in_turn(solver, ball, i, t, t + 1, EVERY_COLOUR, time, pair_solve.NEXT)
-                        > solver.threshold[0]
-                    ):
+                    if pair_solve.solve_in_turn(solver, ball, i, t, t + 1, time, pair_solve.NEXT) > solver.threshold[0]:
                         busy = 1
                         disturb(solver, i, now)
                         disturb(solver, solver.pairs.link[solver.pairs.first[i] + t].other, now)
@@ -149,9 +145,7 @@ def iterate_islands(solver: ti.template(), ball: ti.template(), now):
                     c = solver.pairs.first[i] + t
                     j = solver.pairs.link[c].other
                     solver.pairs.contact[c].previous_impulse = solver.pairs.link[c].impulse
-                    change = pair_solve.solve_in_turn(
-                        solver, ball, i, t, t + 1, EVERY_COLOUR, 0.0, pair_solve.AFTER_IMPACTS
-                    )
+                    change = pair_solve.solve_in_turn(solver, ball, i, t, t + 1, 0.0, pair_solve.AFTER_IMPACTS)
                     if solver.model.inverse_mass[i] == 0.0:
                         r = root_of(solver, j)
                         begin_island(solver, r, now)

@@ -1,7 +1,7 @@
 """Measures of pairs at the present places, after a search: which pairs touch, their normals and depths, and the impulses they
 start with."""
 
-from taichi_sim.kernels.contacts import pair_colours, pair_impacts, touch_times
+from taichi_sim.kernels.contacts import pair_impacts, touch_times
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
@@ -28,14 +28,11 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 
     So the iterations need not ask which touch: what touches changes little from step to step, but not from entry to entry.
     Sums the changes of velocity that accumulated impulses start with, and how many pairs touch each ball. Returns whether any
-    closes fast. Where pairs have colours, links stay in their places, which their twins know, and `turn` says which touch.
+    closes fast.
     """
-    fast, solved, colours = 0, 0, 0
-    if ti.static(solver.plan.by_colours):
-        if pairs.grid.work[0].balls > 0:
-            pair_colours.find_twins(pairs, i)
+    fast = 0
     x, radius, w = ball[i].x, solver.model.radius[i], solver.model.inverse_mass[i]
-    begin, touching, held = pairs.first[i], 0, pairs.held[i]
+    begin, touching, held = pairs.first[i], 0, pairs.touching[i]  # held: may hold anything
     passes = False
     if ti.static(solver.plan.bounces):
         passes = solver.swept[0].passes > 0
@@ -56,9 +53,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 passed = touch_times.since_passing(solver, ball, i, j, r, sum)
         if r.dot(r) < reach * reach or passed > 0.0:
             n, d = unit(r, i, j)
-            at = e
-            if ti.static(not solver.plan.by_colours):
-                at = pair_entry(pairs, begin, touching)
+            at = pair_entry(pairs, begin, touching)
             pairs.contact[at].normal = n
             pairs.contact[at].depth = sum - d
             if ti.static(solver.plan.impacts_in_turn):
@@ -78,13 +73,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
                 pairs.contact[at].mass = 1.0 / (w + solver.model.inverse_mass[j])
             if ti.static(solver.model.spins):
                 pairs.contact[at].arm = d / sum
-            if ti.static(solver.plan.by_colours):
-                colour = pairs.link[e].colour
-                if colour != pair_colours.SOLVED_BY_OTHER:
-                    pairs.turn[pair_entry(pairs, begin, solved)] = t | (colour << pair_colours.COLOUR_SHIFT)
-                    solved += 1
-                    colours |= 1 << colour
-            elif t > touching:
+            if t > touching:
                 link = pairs.link[e]
                 pairs.link[e] = pairs.link[at]
                 pairs.link[at] = link
@@ -107,11 +96,7 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
         elif ti.static(solver.plan.warm_starts):
             if t < held:
                 forget(pairs, e)
-    if ti.static(solver.plan.by_colours):
-        pairs.touching[i] = solved
-        pairs.colours[i] = colours
-    else:
-        pairs.touching[i] = touching
+    pairs.touching[i] = touching
     if ti.static(solver.plan.warm_starts):
         add(solver, solver.warm_velocity, i, w * total)
         if ti.static(solver.model.spins):

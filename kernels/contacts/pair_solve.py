@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from taichi_sim.kernels.contacts import contact_law, pair_colours, pair_impacts
+from taichi_sim.kernels.contacts import contact_law, pair_impacts
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_measures import tangent
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
@@ -32,13 +32,13 @@ RELAX = Iteration(prepares=True, takes_back=True, starts=False)  # the same wher
 
 
 @ti.func
-def ball_in_turn(solver: ti.template(), ball: ti.template(), i, colour, time, how: ti.template()):
-    """The pairs of a colour that ball i solves, each seeing what those before it changed."""
-    solve_in_turn(solver, ball, i, 0, solver.pairs.touching[i], colour, time, how)
+def ball_in_turn(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
+    """The pairs that ball i lists, each seeing what those before it changed."""
+    solve_in_turn(solver, ball, i, 0, solver.pairs.touching[i], time, how)
 
 
 @ti.func
-def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, colour, time, how: ti.template()):
+def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, time, how: ti.template()):
     """The pairs of ball i from turn `begin` to `end`: each changes the velocities that the next one sees. Returns the largest
     change of a relative velocity [m/s]."""
     most = ti.cast(0.0, float)
@@ -48,20 +48,17 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, col
     if ti.static(solver.model.spins):
         spin = solver.state.spin[i]
     for t in range(begin, end):
-        c, is_its_turn = pair_colours.turn(solver.pairs, i, t, colour)
-        if is_its_turn:
-            j = solver.pairs.link[c].other
-            p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
-            v += w * p
-            ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
-            most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
-            if ti.static(solver.model.spins):
-                twist = torque(solver, c, p)
-                spin += w * (solver.model.spin_response(i) * twist)
-                twist = solver.model.spin_response(j) * twist
-                solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * twist
-            if ti.static(solver.plan.by_colours):
-                pair_colours.mirror(solver.pairs, c, how)
+        c = pair_entry(solver.pairs, solver.pairs.first[i], t)
+        j = solver.pairs.link[c].other
+        p = further_impulse(solver, ball, i, j, c, v, spin, time, how)
+        v += w * p
+        ball[j].v = ball[j].v - solver.model.inverse_mass[j] * p
+        most = ti.max(most, (w + solver.model.inverse_mass[j]) * p.norm())
+        if ti.static(solver.model.spins):
+            twist = torque(solver, c, p)
+            spin += w * (solver.model.spin_response(i) * twist)
+            twist = solver.model.spin_response(j) * twist
+            solver.state.spin[j] = solver.state.spin[j] + solver.model.inverse_mass[j] * twist
     ball[i].v = v
     if ti.static(solver.model.spins):
         solver.state.spin[i] = spin
@@ -69,7 +66,7 @@ def solve_in_turn(solver: ti.template(), ball: ti.template(), i, begin, end, col
 
 
 @ti.func
-def ball_at_once(solver: ti.template(), ball: ti.template(), i, colour, time, how: ti.template()):
+def ball_at_once(solver: ti.template(), ball: ti.template(), i, time, how: ti.template()):
     """All pairs that ball i lists see the old velocities; impulses are summed in `impulse` and `angular_impulse`, to be applied
     at the end."""
     v = ball[i].v
@@ -278,12 +275,11 @@ def present_target(solver: ti.template(), i, j, c, accumulated):
 
 
 @ti.func
-def correct_positions(solver: ti.template(), ball: ti.template(), i, colour, h, how: ti.template()):
+def correct_positions(solver: ti.template(), ball: ti.template(), i, h, how: ti.template()):
     """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
     for t in range(solver.pairs.touching[i]):
-        c, is_its_turn = pair_colours.turn(solver.pairs, i, t, colour)
-        if is_its_turn:
-            correct_position(solver, ball, i, solver.pairs.link[c].other, c, h)
+        c = pair_entry(solver.pairs, solver.pairs.first[i], t)
+        correct_position(solver, ball, i, solver.pairs.link[c].other, c, h)
 
 
 @ti.func

@@ -3,10 +3,10 @@
 The balls, in the order of the sorted grid, are cut into blocks longer than any pair reaches. A block writes to itself and the
 next one only, so even blocks can run at the same time, then odd ones: the bits are the same for any number of threads, and for
 one that does all in turn, also where each pair changes velocities at once (Gauss-Seidel). Where both balls of a pair list it,
-each writes to itself alone, and any order will do, or they are taken by colours: see pair_colours.
+each writes to itself alone, and any order will do.
 """
 
-from taichi_sim.kernels.contacts import pair_colours
+from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.reductions import even_then_odd
 from taichi_sim.kernels.vectors import cross
 
@@ -39,14 +39,11 @@ def one_block(b, solver: ti.template(), ball: ti.template(), visit: ti.template(
 def each_ball(
     solver: ti.template(), ball: ti.template(), visit: ti.template(), then: ti.template(), time, how: ti.template()
 ):
-    """visit(solver, ball, i, colour, time, how) for each ball i that solves any pairs, block by block or colour by
-    colour; then, unless it is None, then(ball, i, time, how) for each ball."""
-    if ti.static(solver.plan.by_colours):
-        pair_colours.each_ball(solver, ball, visit, then, time, how)
-    else:
-        each_block(solver, ball, balls_of_block, time, (visit, how))
-        if ti.static(then):
-            each_end(solver, ball, then, time, how)
+    """visit(solver, ball, i, time, how) for each ball i, block by block; then, unless it is None, then(ball, i, time, how)
+    for each ball."""
+    each_block(solver, ball, balls_of_block, time, (visit, how))
+    if ti.static(then):
+        each_end(solver, ball, then, time, how)
 
 
 @ti.func
@@ -60,16 +57,15 @@ def each_end(solver: ti.template(), ball: ti.template(), then: ti.template(), ti
 def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, time, task: ti.template()):
     """The balls of block b."""
     for k in range(begin, end):
-        task[0](solver, ball, solver.pairs.grid.order[k], pair_colours.EVERY_COLOUR, time, task[1])
+        task[0](solver, ball, solver.pairs.grid.order[k], time, task[1])
 
 
 @ti.func
-def own_pairs(solver: ti.template(), ball: ti.template(), i, colour, time, visit: ti.template()):
+def own_pairs(solver: ti.template(), ball: ti.template(), i, time, visit: ti.template()):
     """visit(ball, i, j, c) for each pair c of ball i that touches or nearly does: i solves it, j is the other ball."""
     for t in range(solver.pairs.touching[i]):
-        c, is_its_turn = pair_colours.turn(solver.pairs, i, t, colour)
-        if is_its_turn:
-            visit(ball, i, solver.pairs.link[c].other, c)
+        c = pair_entry(solver.pairs, solver.pairs.first[i], t)
+        visit(ball, i, solver.pairs.link[c].other, c)
 
 
 @ti.func

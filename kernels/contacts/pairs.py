@@ -4,7 +4,6 @@ A pair is listed by that of its balls which comes first in the sorted grid. Iter
 blocks that are longer than any pair reaches: see pair_sweeps. Where each ball gathers what it gets, both list it.
 """
 
-from taichi_sim.kernels.contacts import pair_colours
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
@@ -133,8 +132,6 @@ def keep_colliding(pairs: ti.template(), own, at, found):
             if ti.static(pairs.plan.warm_starts):
                 recall(pairs, i, j, e)
             pairs.link[e].other = j
-            if ti.static(pairs.plan.by_colours):
-                pairs.link[e].colour = pair_colours.colour_of(pairs, i, j)
             kept += 1
     return kept, furthest
 
@@ -170,8 +167,8 @@ def store(pairs: ti.template()):
 def store_links(pairs: ti.template(), i):
     """`store` for ball i."""
     pairs.old_first[i] = pairs.first[i]
-    pairs.old_held[i] = pairs.held[i]
-    for t in range(pairs.held[i]):
+    pairs.old_held[i] = pairs.touching[i]
+    for t in range(pairs.touching[i]):
         c = pair_entry(pairs, pairs.first[i], t)
         link = pairs.link[c]
         pairs.contact[c].depth = link.impulse
@@ -269,7 +266,7 @@ def search(pairs: ti.template()):
             i = pairs.grid.sorted[k]
             pairs.first[i] = first
             pairs.number[i] = found
-            pairs.held[i] = found
+            pairs.touching[i] = found
         ti.atomic_max(pairs.longest_reach[0], furthest)
     ti.loop_config(serialize=True)
     for _ in range(1):

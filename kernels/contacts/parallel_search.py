@@ -2,7 +2,6 @@
 a thread for every ball or every few buckets, which do nothing while the lists of the last search hold.
 """
 
-from taichi_sim.kernels.contacts import pair_colours
 from taichi_sim.kernels.contacts.pairs import ENDLESS, list_neighbours, store_links
 from taichi_sim.kernels.contacts.spatial_hash import (
     CELL_LIMIT,
@@ -128,9 +127,6 @@ def search(pairs: ti.template()):
         if is_due(pairs.grid):
             if i == 0:
                 pairs.used[0] = 0
-                if ti.static(pairs.plan.by_colours):
-                    for colour in range(pairs.grid.colours):
-                        pairs.grid.block_count[colour] = 0
             if ti.static(pairs.plan.warm_starts):
                 store_links(pairs, i)
     for i in range(pairs.grid.n):  # by balls, not by copies: most of what is read and written are lists, new and old
@@ -143,9 +139,7 @@ def search(pairs: ti.template()):
                 first, found, _ = list_neighbours(pairs, k, at, pairs.block_capacity)
                 pairs.first[i] = first
                 pairs.number[i] = found
-                pairs.held[i] = found
-                if ti.static(pairs.plan.by_colours):
-                    pair_colours.list_blocks(pairs.grid, k)
+                pairs.touching[i] = found
             elif i == 0:
                 pairs.overflow[0] = ENDLESS
                 pairs.grid.most_crowded_pairs[0] = ti.max(pairs.grid.most_crowded_pairs[0], pairs.grid.crowded_pairs[0])

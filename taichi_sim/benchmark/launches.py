@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from taichi_sim.benchmark import cases
-from taichi_sim.benchmark.contest import Report, count_of
+from taichi_sim.benchmark.contest import Report
 from taichi_sim.benchmark.launch_counts import PROFILED, Counts, count
 from taichi_sim.benchmark.ours import Ours, ball_step, cloth_step
 from taichi_sim.benchmark.scale import surfaces_scene
@@ -25,7 +25,6 @@ from taichi_sim.device.engine import ENGINE
 
 STEPS = 64  # counted after as many; the run looks at the state once in them
 ITERATIONS = 4  # of contacts in the pile
-BY_COLOURS = 1  # of them where each sees what those before it changed
 
 
 class Row(NamedTuple):
@@ -55,9 +54,6 @@ def scenes(arch: str, quick: bool) -> dict[str, Callable[[], Ours]]:
     found: dict[str, Callable[[], Ours]] = {
         f"pile of {balls} balls, friction, {ITERATIONS} iterations": lambda: ball_step(
             pile, **few, **contacts, **device
-        ),
-        f"the same by colours, {count_of(BY_COLOURS, 'iteration')}": lambda: ball_step(
-            pile, contact_iterations=BY_COLOURS, substeps=1, contacts="gauss_seidel", accumulate="gather", **device
         ),
         f"{side} x {side} cloth of springs": lambda: cloth_step(cases.cloth_case(side), arch),
         f"{around} x {around} cloth, colliding surfaces": lambda: Ours(

@@ -7,7 +7,7 @@ from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
 from taichi_sim.device.parts import STEP, Part
-from taichi_sim.kernels.contacts import ccd_balls, impact, pair_colours, pair_solve, pair_sweeps, struck_pairs
+from taichi_sim.kernels.contacts import ccd_balls, impact, pair_solve, pair_sweeps, struck_pairs
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactRule"]
@@ -279,14 +279,14 @@ class ContactRule(FoundContacts):
         and are solved in turn turn more slowly when they come further apart."""
         if ti.static(self.corrects_positions):
             of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
-            in_one = ti.static(self.plan.gathers and not (of_pairs and self.plan.by_colours))
+            in_one = ti.static(self.plan.gathers)
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)
                 for part in ti.static(self.sticks_and_triangles):
                     d += part.correct_positions(ball, self, i, h)
                 self.position_correction[i] = d
                 if ti.static(in_one and of_pairs):
-                    pair_solve.correct_positions(self, ball, i, pair_colours.EVERY_COLOUR, h, None)
+                    pair_solve.correct_positions(self, ball, i, h, None)
                 if ti.static(in_one):
                     self._correct_at_walls(ball, i, h, None)
             walls = ti.static(self._correct_at_walls if self.plan.walls and not in_one else None)

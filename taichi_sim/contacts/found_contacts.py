@@ -47,7 +47,7 @@ class FoundContacts:
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
-    `impacts_in_turn`, `energy_limiter`, `gathers`, `by_colours`: what of these in ContactPlan the rule can do.
+    `impacts_in_turn`, `energy_limiter`, `gathers`: what of these in ContactPlan the rule can do.
     """
 
     struck: Any  # where the plan throws back, see kernels.contacts.struck_pairs
@@ -60,7 +60,6 @@ class FoundContacts:
     impacts_in_turn = False
     energy_limiter = False
     gathers = False
-    by_colours = False
     relaxation = 1.0  # part of an impulse from split masses that is applied
 
     def bind(

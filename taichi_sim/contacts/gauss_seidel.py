@@ -18,7 +18,7 @@ class GaussSeidel(IteratedRule):
     that crowds which bounce gain none."""
 
     name = "gauss_seidel"
-    in_turn = warm_starts = softens = impacts_in_turn = energy_limiter = by_colours = True
+    in_turn = warm_starts = softens = impacts_in_turn = energy_limiter = True
 
     def allocate(self, fields: Fields) -> None:
         """Allocate the fields of impacts in turn (see pair_impacts) and of line searches of islands of balls (see

@@ -3,13 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import parallel_search
 from taichi_sim.kernels.contacts import spatial_hash as loops
-from taichi_sim.kernels.contacts.pair_colours import MOST_COLOURS
 from taichi_sim.kernels.reductions import LONG_PART
 
 __all__ = ["Grid"]
@@ -31,8 +29,7 @@ class Grid:
 
     Pairs are looked for with radii enlarged by `skin` + `gap` times, and stay listed until some ball has moved by `skin` times
     its own radius: two balls that are not listed cannot have met before. Small balls among large ones list few neighbours so.
-    Nothing is looked for while cells hold more than `pair_limit` pairs. parallel: as parallel_search does it. by_colours: with
-    the blocks of pair_colours, or SceneError where they are too many.
+    Nothing is looked for while cells hold more than `pair_limit` pairs. parallel: as parallel_search does it.
     """
 
     def __init__(
@@ -43,7 +40,6 @@ class Grid:
         gap: float,
         pair_limit: int,
         parallel: bool = False,
-        by_colours: bool = False,
     ) -> None:
         self.model, self.parallel = model, parallel
         self.n, self.dim = model.n, model.dim
@@ -80,16 +76,6 @@ class Grid:
             self.second_parts = -(-self.size // parallel_search.SUMMED_BUCKETS**2)
             self.second_partial = fields.integers(self.second_parts)  # sums of these
             self.copy_of = fields.integers(self.n)  # the sorted copy of each ball
-        if by_colours:
-            self.colours = self.levels << model.dim
-            if self.colours > MOST_COLOURS:
-                raise SceneError(
-                    "contacts",
-                    says=f"'gauss_seidel' takes pairs by {2**model.dim} colours for each level of sizes, {MOST_COLOURS} at most,"
-                    f" and these radii have {self.levels} levels; use 'jacobi'",
-                )
-            self.block = fields.integers(self.colours * self.n)  # the first sorted copy in each block of a colour
-            self.block_count = fields.integers(self.colours)  # blocks
         self.bucket = fields.integers(self.n)  # of each ball
         # sorted: the ball of each sorted copy; order: balls in the order of iterations
         self.sorted, self.order = fields.integers(self.n), fields.integers(self.n)

@@ -3,7 +3,7 @@
 from taichi_sim.contacts.iterated_rule import IteratedRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.contacts import pair_colours, pair_solve, pair_sweeps
+from taichi_sim.kernels.contacts import pair_solve, pair_sweeps
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 from taichi_sim.scene.scene import max_restitution
 
@@ -45,7 +45,7 @@ class Jacobi(IteratedRule):
                 if k < self.n:
                     self._clear_impulse(k)
                     if ti.static(self.plan.neighbours):
-                        pair_solve.ball_at_once(self, ball, k, pair_colours.EVERY_COLOUR, time, how)
+                        pair_solve.ball_at_once(self, ball, k, time, how)
         else:
             if ti.static(how.starts):
                 for part in ti.static(self.sticks_and_triangles):

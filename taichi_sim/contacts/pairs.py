@@ -24,8 +24,7 @@ LISTED_GAP = 0.02
 
 @ti.data_oriented
 class Pairs:
-    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first; with
-    colours both list it and keep their places, see kernels.contacts.pair_colours.
+    """Ball-ball contacts: each ball lists the later balls near it, or all where the plan gathers, those that touch it first.
     `link` holds what a contact keeps from step to step, `contact` what only one step needs.
     capacity: links that are known to be needed."""
 
@@ -59,8 +58,6 @@ class Pairs:
             columns["rebound_speed"] = fields.real  # m/s, 0 if it did not bounce
         if plan.keeps_loads:
             columns["load"] = fields.real  # N s, the part of the impulse that is no impact's, as far as it is known
-        if plan.by_colours:  # colour, or SOLVED_BY_OTHER; twin: link in the other ball's list, or NO_LINK
-            columns["colour"] = columns["twin"] = ti.i32
         self.link = fields.table(columns, self.capacity, by_column=self.interleaved)
         # normal: from the ball that lists it; depth: overlap [m], negative where they are apart; mass [kg] of a lone contact
         columns = {"normal": vector, "depth": fields.real, "mass": fields.real}
@@ -82,15 +79,10 @@ class Pairs:
         if model.spins:
             columns["arm"] = fields.real  # of each radius: balls that overlap touch nearer to their centres
         self.contact = fields.table(columns, self.capacity, by_column=self.interleaved)
-        if plan.by_colours:
-            self.turn = fields.integers(self.capacity)  # place in a list, and colour, see kernels.contacts.pair_colours
         self.most = loops.COUNT_LIMIT
         self.bytes_each = (fields.bytes - before) / self.capacity
-        # of the list of each ball: first link, number of links, of these that touch, or with colours that it solves
+        # of the list of each ball: first link, number of links, of these that touch
         self.first, self.number, self.touching = (fields.integers(model.n) for _ in range(3))
-        if plan.by_colours:
-            self.colours = fields.integers(model.n)  # of each ball, a bit for each colour of its pairs
-        self.held = self.number if plan.by_colours else self.touching  # from the first on, that may hold anything
         if plan.warm_starts:  # as they were before the last search
             self.old_first, self.old_held = fields.integers(model.n), fields.integers(model.n)
         kinds = np.unique(scene.material)
@@ -109,7 +101,7 @@ class Pairs:
 
     def forget(self) -> None:
         """Clear what contacts have accumulated, from the next search on."""
-        self.held.fill(0)
+        self.touching.fill(0)
 
     @ti.func
     def detect(self, ball: ti.template()):

@@ -44,7 +44,6 @@ class ContactPlan:
     throws_back: bool  # what forces did before is thrown back there as well
     iterations: int  # of the solve before the move
     gathers: bool  # both balls of a pair list it, and each sums what it gets: no order of pairs, and no atomics
-    by_colours: bool  # both list it, and pairs are solved in turn by colours, see kernels.contacts.pair_colours
     atomic: bool  # impulses are added by atomics
     serial: bool  # one thread runs all
     reasons: tuple[str, ...]  # a line for each decision
@@ -113,10 +112,9 @@ def plan_contacts(
     )
     gathers = decide(
         "gathers",
-        pairs and parallel and (rule.gathers or rule.by_colours),
-        "pairs, a device or accumulate: gather, and a rule that takes all contacts at once or by colours",
+        pairs and parallel and rule.gathers,
+        "pairs, a device or accumulate: gather, and a rule that takes all contacts at once",
     )
-    by_colours = decide("by_colours", gathers and rule.by_colours, "gathers, and a rule in turn that may")
     decide("colliders", on and scene.colliders, "colliders")
     decide(
         "skin",
@@ -137,8 +135,8 @@ def plan_contacts(
     )
     impacts_in_turn = decide(
         "impacts_in_turn",
-        rule.impacts_in_turn and pairs and not joints and not by_colours,
-        "a rule that does so, pairs, not by colours, and neither sticks nor triangles: it is exact for pairs alone",
+        rule.impacts_in_turn and pairs and not joints,
+        "a rule that does so, pairs, and neither sticks nor triangles: it is exact for pairs alone",
     )
     decide(
         "keeps_loads",
@@ -178,7 +176,7 @@ def plan_contacts(
     # they may do work
     driven = scene.moving_pins or scene.motors or any(collider.motion.moves for collider in scene.colliders)
     # split masses gain nothing from nothing, nor impacts in turn
-    gains = joints or by_colours if rule.in_turn else warm_starts
+    gains = joints if rule.in_turn else warm_starts
     decide(
         "limits_energy",
         rule.energy_limiter and pairs and not driven and gains and max_restitution(scene) > MOST_BOUNCE,

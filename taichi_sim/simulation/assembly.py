@@ -235,7 +235,7 @@ class Assembly:
             reflects=settings.integrator.reflects,
             custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
             extra_forces=bool(self.forces.extra),
-            iterations=settings.iterations(scene, rule.in_turn, as_on_device and rule.by_colours),
+            iterations=settings.iterations(scene, rule.in_turn),
             parallel=as_on_device,
             atomic=self.atomic or (settings.accumulate == "auto" and not cpu),  # blocks are too few for a GPU
             serial=self.fused,
@@ -249,7 +249,7 @@ class Assembly:
         if plan.pairs:
             most = self._spare_bytes() // PAIR_BYTES
             gap = LISTED_GAP if plan.soft else 0.0
-            grid = Grid(model, fields, plan.skin, gap, most, plan.gathers, plan.by_colours)
+            grid = Grid(model, fields, plan.skin, gap, most, plan.gathers)
             pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
             sticks = Sticks(model, fields, pairs, self.capacity.sticks) if plan.sticks else None
             triangles = TriangleContacts(model, fields, pairs, self.capacity.triangles) if plan.triangles else None
@@ -270,8 +270,7 @@ class Assembly:
         rule = settings.contacts
         if isinstance(rule, str):
             rule = CONTACT_RULES[("gauss_seidel" if ordered else "jacobi") if rule == "auto" else rule]()
-        by_colours = self.parallel and rule.by_colours and type(rule) in CONTACT_RULES.values()
-        if rule.in_turn and not (ordered or by_colours):
+        if rule.in_turn and not ordered:
             atomic = cpu or settings.accumulate == "atomic"
             why = f"accumulate: {settings.accumulate!r}" if atomic else "a GPU"
             raise SceneError(

@@ -65,7 +65,7 @@ class Moments:
         self.lists: dict[int, tuple[int, int]] = {}
         if self.pairs is not None:
             self.lists[LINK] = (0, self.pairs.pool_start)
-            found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.held]
+            found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
         if self.sticks is not None:
             self.lists[len(found) + 1] = (len(found), 0)
             found += [self.sticks.used, self.sticks.contact, self.sticks.begin, self.sticks.length]

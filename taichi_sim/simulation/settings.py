@@ -111,10 +111,10 @@ class Settings:
                 raise SceneError("tolerance", values["tolerance"], "less than 1")
         return cls(**values)
 
-    def iterations(self, scene: Scene, in_turn: bool, by_colours: bool = False) -> int:
+    def iterations(self, scene: Scene, in_turn: bool) -> int:
         """Iterations of each contact solve. "auto": where contacts see what those before them changed (in_turn) 2, and 1 for
         more than a thousand balls, but not where they differ tenfold in mass: a light ball under a heavy one trembles with 1;
-        10 where surfaces collide; with these, with sticks, or by colours up to 4 more for balls that bounce well. With split
+        10 where surfaces collide; with these or with sticks up to 4 more for balls that bounce well. With split
         masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well: what has not
         converged then takes energy for good."""
         if self.contact_iterations != "auto":
@@ -125,7 +125,7 @@ class Settings:
             few = 1 if len(mass) > MANY_BALLS and mass.max() <= UNEQUAL_MASSES * mass.min() else 2
             few = max(few, surfaces)
             # else impacts are resolved one by one
-            rows = by_colours or scene.solid.any() or scene.collides.any()
+            rows = scene.solid.any() or scene.collides.any()
             return few + (round(4 * max(0.0, 2.0 * max_restitution(scene) - 1.0)) if rows else 0)
         more = round(12 * max(0.0, 2.0 * max_restitution(scene) - 1.0))
         return max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more

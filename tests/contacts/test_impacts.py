@@ -398,7 +398,6 @@ def test_nothing_comes_back_where_nothing_bounces():
     ("rule", "accumulate", "sticks", "most"),
     [
         ("jacobi", "ordered", False, 0.08),
-        pytest.param("gauss_seidel", "gather", False, 0.1, marks=pytest.mark.long),
         pytest.param("gauss_seidel", "ordered", True, 0.1, marks=pytest.mark.long),
     ],
 )

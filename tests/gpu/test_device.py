@@ -110,7 +110,7 @@ def test_runs(name, on_cpu, on_device):
     assert np.isfinite(on_device(name)["position"]).all()
 
 
-@pytest.mark.parametrize("name", by_scene(["pile_ordered", "pile_2d", "colours_3d", "surfaces", "implicit_euler"]))
+@pytest.mark.parametrize("name", by_scene(["pile_ordered", "pile_2d", "pile_3d", "surfaces", "implicit_euler"]))
 def test_the_same_bits_in_every_run(name, arch, on_device):
     once, again = on_device(name), device_scenes.run(name, arch)
     for what in ("position", "velocity", "spin"):
@@ -132,7 +132,7 @@ def test_sums_over_many_balls_are_right(arch):
     assert energy.gravity == pytest.approx(10.0 * np.sum(scene.mass * scene.position[:, 1]), rel=1e-6)
 
 
-@pytest.mark.parametrize("name", by_scene(["many_springs", "colours_2d"]))
+@pytest.mark.parametrize("name", by_scene(["many_springs", "pile_2d"]))
 def test_a_restored_run_goes_on(name, arch, tmp_path):
     scene, settings = device_scenes.BY_NAME[name]()
     with ts.Simulation(scene, arch=arch, **settings) as whole:

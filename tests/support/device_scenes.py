@@ -42,27 +42,6 @@ def pile_3d():
     return pile(3), {"dt": 5e-4, "contacts": "jacobi"}
 
 
-COLOURS = {"contacts": "gauss_seidel", "accumulate": "gather", "contact_iterations": 2}
-
-
-def colours_2d():
-    return pile(), {"dt": 5e-4, **COLOURS}
-
-
-def colours_3d():
-    return pile(3), {"dt": 5e-4, **COLOURS}
-
-
-def colours_of_sizes():
-    scene, settings = sizes_differ()
-    return scene, settings | COLOURS
-
-
-def colours_and_sticks():
-    scene, settings = sticks_and_colliders()
-    return scene, settings | COLOURS
-
-
 def pile_ordered():
     return pile(3), {"dt": 5e-4, "contacts": "jacobi", "accumulate": "ordered"}
 
@@ -163,7 +142,7 @@ def with_a_tolerance():
 
 
 SCENES = (
-    pile_2d, pile_3d, pile_ordered, colours_2d, colours_3d, colours_of_sizes, colours_and_sticks,
+    pile_2d, pile_3d, pile_ordered,
     crowd_plain_sum, sizes_differ, mesh_collider, sticks_and_colliders, surfaces, tearing_in_wind,
     network("explicit_euler", 1e-4), network("symplectic_euler"), network("verlet"), network("rk4"), network("implicit_euler"),
     network("tr_bdf2"), network("xpbd", accumulate="atomic"), jelly, solids, balloon, many_springs, with_a_tolerance,
@@ -172,7 +151,7 @@ BY_NAME = {build.__name__: build for build in SCENES}
 
 
 # Where a rounding error grows ten thousand times within STEPS: what a device may be off is what the CPU is, from itself.
-SENSITIVE = ("colours_2d", "colours_3d", "surfaces")
+SENSITIVE = ("surfaces",)
 STARTS = 8  # each coordinate off by a rounding error at most
 ROUNDING = 2.0**-24
 COMPARED = ("position", "velocity", "energy", "contacts", "depth")

@@ -106,10 +106,6 @@ def crowd_gathered():
     return bits._crowd(2, 60), {"dt": 1e-3, "contacts": "jacobi", "accumulate": "gather"}
 
 
-def crowd_by_colours():
-    return bits._crowd(3, 60), {"dt": 1e-3, "contacts": "gauss_seidel", "accumulate": "gather"}
-
-
 def crowd_with_a_tolerance():
     """What contacts hold belongs to each of two solutions."""
     scene = ts.Scene(dim=2, gravity=(0, -9.81))
@@ -130,7 +126,7 @@ def lists_that_grow():
 
 SCENES = (
     *bits.SCENES, led_by_pins, motors_verlet, motors_tr_bdf2, in_the_wind, in_the_wind_strongly_damped, in_the_wind_implicit,
-    balloon_verlet, surfaces_that_tear, drum, crowd_of_unequal_masses, crowd_gathered, crowd_by_colours,
+    balloon_verlet, surfaces_that_tear, drum, crowd_of_unequal_masses, crowd_gathered,
     crowd_with_a_tolerance, lists_that_grow,
 )  # fmt: skip
 BY_NAME = {build.__name__: build for build in SCENES}
