@@ -253,6 +253,13 @@ class Output(Strict):
     crease: Annotated[FiniteFloat, Ge(0), Le(180)] = _key(
         40.0, "between triangles at the start, from which their edge is sharp, in 3D; not where subdivide is [degrees]"
     )
+    shutter: Annotated[FiniteFloat, Ge(0)] = _key(0.0, "how long the shutter is open, for motion blur [s]")
+    aperture: Annotated[FiniteFloat, Ge(0)] = _key(
+        0.0, "diameter of the lens, for depth of field about the camera's target, in 3D [m]"
+    )
+    exposures: Annotated[int, Ge(1), Le(256)] = _key(
+        16, "pictures in the mean of one with a shutter or an aperture; each takes as long as a picture [1]"
+    )
     looks: Annotated[tuple[dict[str, Any], ...] | None, WithJsonSchema({"type": "array", "items": _object(Look)})] = (
         _key(None, "how the surfaces of shapes and colliders look, in 3D")
     )

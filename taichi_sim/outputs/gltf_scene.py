@@ -98,7 +98,7 @@ class GltfScene:
             mesh.faces.append(np.searchsorted(balls, pairs[owner == mesh.object]).astype(np.int32))
 
     def _spanned(self, frame: Frame, x: NDArray) -> tuple[NDArray, NDArray, NDArray]:
-        """Where the springs of the first frame are now; those that have torn have no size."""
+        """Middles, turns and sizes of the rods of the first frame's springs; those that have torn have no size."""
         pairs = self._parts.springs(frame)[0]
         ends = x[self._pairs]
         along = ends[:, 1] - ends[:, 0]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -55,6 +55,13 @@ class Camera:
             right = np.cross(forward, (0.0, 0.0, -1.0) if abs(forward[2]) < 0.9 else (1.0, 0.0, 0.0))
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
+
+    def aside(self, right: float, up: float) -> "Camera":
+        """This camera with its eye so far [m] aside, towards the same target."""
+        if not right and not up:
+            return self
+        axes = self.axes()
+        return replace(self, eye=triple(np.array(self.eye) + right * axes[0] + up * axes[1]))
 
     @classmethod
     def fit(

@@ -73,10 +73,19 @@ class Renderer3D:
         self._canvas: Any = None
         self._prepare(frame)
 
-    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1, aside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top. aside [m]: so far to the right of
+        the camera and above it, towards the same target."""
         self._prepare(frame)
         self._aim(frame)
+        standing = self.camera
+        self.camera = standing.aside(*aside)
+        try:
+            return self._drawn(frame, coarse)
+        finally:
+            self.camera = standing
+
+    def _drawn(self, frame: Frame, coarse: int) -> NDArray[np.uint8]:
         rods, strain = self._content.rods, None
         if len(rods) and len(frame.strain) == len(frame.springs):
             strain = frame.strain[rods]
