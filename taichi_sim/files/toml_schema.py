@@ -245,6 +245,7 @@ class Output(Strict):
     ambient_occlusion: bool = _key(False, "soft shadow where surfaces are close, in 3D")
     shadow: bool = _key(True, "that of the sun, in 3D")
     transparent: bool = _key(False, "PNG frames with alpha, without background and ground")
+    shadow_catcher: bool = _key(False, "in a transparent picture, the shadows on the ground as black with alpha, in 3D")
     colour: Literal["object", "strain", "speed"] = _key("object", "what colours show")
     colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = _key(
         None, "strain [1] or speed [m/s] that get the first and the last colour"

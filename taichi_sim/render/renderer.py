@@ -38,8 +38,9 @@ class Renderer:
     to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly; crease: in 3D,
     the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided;
     stage: "day", "studio" or "blueprint", the light and what lies behind, in place of which a background may be; looks: in 3D,
-    the keys of a `Look` for each of some shapes and colliders; shutter [s], aperture [m], exposures: see `Exposure`. Raises
-    ValueError for a bad argument.
+    the keys of a `Look` for each of some shapes and colliders; shutter [s], aperture [m], exposures: see `Exposure`;
+    shadow_catcher: in 3D, transparent pictures hold the shadows on the ground, as black with alpha. Raises ValueError for a bad
+    argument.
     `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which colours are not multiplied; row 0 at
     the top, sRGB.
     """
@@ -62,6 +63,7 @@ class Renderer:
         shutter: float = 0.0,
         aperture: float = 0.0,
         exposures: int = EXPOSURES,
+        shadow_catcher: bool = False,
     ) -> None:
         width, height = (int(side) for side in validation.vector("size", size, 2))
         if width < 1 or height < 1:
@@ -85,9 +87,19 @@ class Renderer:
         if frame.dim == 3:
             from taichi_sim.render.renderer3d import Renderer3D
 
-            self._painter = Renderer3D(
-                frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease, STAGES[stage], styles
+            given = (
+                frame,
+                self.size,
+                background,
+                ambient_occlusion,
+                shadow,
+                camera,
+                *look,
+                crease,
+                STAGES[stage],
+                styles,
             )
+            self._painter = Renderer3D(*given, shadow_catcher)
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 

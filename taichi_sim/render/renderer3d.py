@@ -41,6 +41,8 @@ class Renderer3D:
     """Renderer of 3D frames, see `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32
     suffices."""
 
+    camera: Camera
+
     def __init__(
         self,
         frame: Frame,
@@ -55,8 +57,9 @@ class Renderer3D:
         crease: float = CREASE,
         stage: Stage = DAY,
         looks: Sequence[Look] = (),
+        shadow_catcher: bool = False,
     ) -> None:
-        self.size = size
+        self.size, self._shadow_catcher = size, shadow_catcher
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._stage, self._looks = stage, looks
         self._crease, self._rest = crease, frame.position.copy()
@@ -184,9 +187,8 @@ class Renderer3D:
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
             samples = 1 if drawn > MANY_PRIMITIVES and not self._transparent else 4
-            self._canvas = Canvas(
-                self.size, samples, self._stage, self._shadow, self._ambient_occlusion, self._transparent
-            )
+            ground = self._transparent, self._shadow_catcher
+            self._canvas = Canvas(self.size, samples, self._stage, self._shadow, self._ambient_occlusion, *ground)
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
             colour = np.where(
