@@ -1,6 +1,7 @@
 """Renderer: frames to pictures, without OpenGL, window or display."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -75,6 +76,8 @@ class Renderer:
         if stage not in STAGES:
             raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
         self._exposure = Exposure(shutter, aperture, exposures)
+        if frame.dim == 2:  # all is as far away
+            self._exposure = replace(self._exposure, aperture=0.0)
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         shapes = [one.name for one in frame.objects]
         colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]
