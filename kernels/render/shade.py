@@ -9,6 +9,7 @@ from taichi_sim.device.engine import ti
 
 BESIDE = 0.01  # part of the distance that the centre of a pixel and its sample may differ in
 BEFORE = 1e-6  # the end of a texture, where the next one begins, with the opposite border
+MOST_TAPS = 8.0  # places of a texture in one pixel
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
@@ -35,32 +36,31 @@ def spring_colour(strain):
 
 
 @ti.func
+def rise(a):
+    """Integral of a wave of 1 and -1 in turn, each for half of a unit."""
+    d = a - ti.floor(a) - ti.f32(0.5)
+    return d if ti.abs(d) < ti.f32(0.25) else (ti.f32(0.5) if d > 0 else ti.f32(-0.5)) - d
+
+
+@ti.func
 def wave(a, width):
-    """1 and -1 in turn, each for half of a unit, smoothed over a width."""
-    rise = ti.f32(0.25) - ti.abs(a - ti.floor(a) - ti.f32(0.5))
-    return ti.min(ti.max(2 * rise / ti.max(width, ti.f32(1e-6)), ti.f32(-1.0)), ti.f32(1.0)) / ti.max(
-        2 * width, ti.f32(1.0)
-    )
+    """Mean over a width about a of 1 and -1 in turn, each for half of a unit."""
+    wide = ti.max(width, ti.f32(0.002))
+    return (rise(a + wide / 2) - rise(a - wide / 2)) / wide
 
 
 @ti.func
 def pattern(kind, place, width):
-    """Share of the other colour at a place in a pattern, smoothed over a width: stripes, or checks."""
-    sign = wave(place[0], width)
+    """Share of the other colour at a place in a pattern, smoothed over a width along each axis: stripes, or checks."""
+    sign = wave(place[0], width[0])
     if kind > 1:
-        sign *= wave(place[1], width) * wave(place[2], width)
+        sign *= wave(place[1], width[1]) * wave(place[2], width[2])
     return ti.f32(0.5) - ti.f32(0.5) * sign
 
 
 @ti.func
-def texture_at(scene: ti.template(), style, place, width):
-    """Colour of a texture at a place, between four texels of that of its sizes, each half the last one, that fits the width."""
-    first, across, down = ti.cast(style[4], ti.i32), ti.cast(style[5], ti.i32), ti.cast(style[6], ti.i32)
-    wide = width * ti.cast(ti.max(across, down), ti.f32)
-    while wide > ti.f32(1.5) and ti.max(across, down) > 1:
-        first += across * down
-        across, down = (across + 1) // 2, (down + 1) // 2
-        wide *= ti.f32(0.5)
+def texels(scene: ti.template(), first, across, down, place):
+    """Colour between four texels of one size of a texture, whose texels begin at `first`."""
     x = (place[0] - ti.floor(place[0])) * across - ti.f32(0.5)
     y = (1 - place[1] + ti.floor(place[1])) * down - ti.f32(0.5)
     i, j = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
@@ -70,6 +70,47 @@ def texture_at(scene: ti.template(), style, place, width):
     upper = scene.texel[first + j0 * across + i0] * (1 - u) + scene.texel[first + j0 * across + i1] * u
     lower = scene.texel[first + j1 * across + i0] * (1 - u) + scene.texel[first + j1 * across + i1] * u
     return upper * (1 - v) + lower * v
+
+
+@ti.func
+def texture_at(scene: ti.template(), style, place, beside, below, low, high):
+    """Colour of a texture over a pixel, whose sides are `beside` and `below` long there: a mean along the longer one of places
+    within low and high, each between two sizes of the texture, each half the last one, that fit the shorter one."""
+    first, across, down = ti.cast(style[4], ti.i32), ti.cast(style[5], ti.i32), ti.cast(style[6], ti.i32)
+    sides = vec3(style[5], style[6], 0)
+    long, short = (beside * sides).norm(), (below * sides).norm()
+    way = beside
+    if short > long:
+        long, short, way = short, long, below
+    taps = ti.cast(ti.min(ti.ceil(long / ti.max(short, ti.f32(1.0))), ti.f32(MOST_TAPS)), ti.i32)
+    taps = ti.max(taps, 1)
+    wide = ti.max(short, long / taps)
+    while wide > 2 and ti.max(across, down) > 1:
+        first += across * down
+        across, down = (across + 1) // 2, (down + 1) // 2
+        wide *= ti.f32(0.5)
+    blend = ti.min(ti.max(wide - 1, ti.f32(0.0)), ti.f32(1.0))
+    if ti.max(across, down) == 1:
+        blend = ti.f32(0.0)
+    total = vec3(0, 0, 0)
+    for k in range(taps):
+        at = place + way * ((ti.cast(k, ti.f32) + ti.f32(0.5)) / taps - ti.f32(0.5))
+        at = ti.min(ti.max(at, low), high)
+        colour = texels(scene, first, across, down, at)
+        if blend > 0:
+            coarser = texels(scene, first + across * down, (across + 1) // 2, (down + 1) // 2, at)
+            colour += (coarser - colour) * blend
+        total += colour
+    return total / taps
+
+
+@ti.func
+def along(ray, e1, e2, s, q, ab, ac):
+    """Place in a pattern, from that of the first corner on, where a ray meets a triangle's plane (see `surface`)."""
+    h = ray.cross(e2)
+    det = e1.dot(h)
+    inverse = 1 / ti.max(ti.abs(det), ti.f32(1e-20)) * (ti.f32(1.0) if det > 0 else ti.f32(-1.0))
+    return ab * (s.dot(h) * inverse) + ac * (ray.dot(q) * inverse)
 
 
 @ti.func
@@ -131,23 +172,21 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             gloss, through = style[0], style[1]
             if ti.static(scene.is_patterned):
                 if style[3] > 0 and total > ti.f32(1e-20):
-                    inner = 1 / ti.max(ti.abs(det), ti.f32(1e-20))
-                    tb, tc = winding * s.dot(h) * inner, winding * ray.dot(q) * inner  # also beside a thin triangle
                     pa, pb, pc = scene.place[3 * i], scene.place[3 * i + 1], scene.place[3 * i + 2]
-                    ab, ac = pb - pa, pc - pa
-                    first, last = ti.floor(ti.min(pa, pb, pc)), ti.ceil(ti.max(pa, pb, pc))
-                    last = ti.max(last, first + ti.f32(1.0))
-                    place = ti.max(pa + ab * tb + ac * tc, first)
-                    place = ti.min(place, last - ti.f32(BEFORE) * (ti.abs(last) + ti.f32(1.0))) * style[7]
-                    size = ti.max(
-                        ab.norm() / ti.max(e1.norm(), ti.f32(1e-20)), ac.norm() / ti.max(e2.norm(), ti.f32(1e-20))
-                    )
-                    steep = ti.max(ti.abs(n.dot(ray)) / ray.norm(), ti.f32(0.15))
-                    wide = size * style[7] / (w * view[3, 0] * steep)
+                    ab, ac, pixel = pb - pa, pc - pa, 1 / view[3, 0]
+                    here = along(ray, e1, e2, s, q, ab, ac)  # also beside a thin triangle
+                    beside = along(ray + axis(view, 0) * pixel, e1, e2, s, q, ab, ac) - here
+                    below = along(ray - axis(view, 1) * pixel, e1, e2, s, q, ab, ac) - here
+                    low, last = ti.floor(ti.min(pa, pb, pc)), ti.ceil(ti.max(pa, pb, pc))
+                    last = ti.max(last, low + ti.f32(1.0))
+                    high = last - ti.f32(BEFORE) * (ti.abs(last) + ti.f32(1.0))
+                    place = ti.min(ti.max(pa + here, low), high) * style[7]
+                    beside, below = beside * style[7], below * style[7]
                     if style[3] > 2:
-                        colour = texture_at(scene, style, place, wide)
+                        colour = texture_at(scene, style, place, beside, below, low * style[7], high * style[7])
                     else:
-                        colour += (vec3(style[4], style[5], style[6]) - colour) * pattern(style[3], place, wide)
+                        share = pattern(style[3], place, ti.abs(beside) + ti.abs(below))
+                        colour += (vec3(style[4], style[5], style[6]) - colour) * share
     return p, n, colour, gloss, through
 
 

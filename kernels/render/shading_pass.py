@@ -115,6 +115,12 @@ def behind_share(scene: ti.template(), view, light, look, planes, on_screen, eye
     return share
 
 
+@ti.func
+def darkening(shaded, plain):
+    """Opacity of black that makes a plain colour as dark as a shaded one."""
+    return ti.max(1 - shaded.sum() / ti.max(plain.sum(), ti.f32(1e-6)), ti.f32(0.0))
+
+
 @ti.kernel
 def resolve(
     scene: ti.template(),
@@ -133,7 +139,8 @@ def resolve(
     lies behind.
 
     Rows of look: direction to the lamp and the spacing of the ground's grid, direction of the fill, zenith, horizon.
-    Where the scene is transparent, samples of background and ground have neither colour nor share in alpha.
+    Where the scene is transparent, samples of background and ground have neither colour nor share in alpha; where it catches
+    shadows, the ground is black with the alpha that darkens it by as much as they do.
     """
     for pixel in range(width * height):
         y = pixel // width
@@ -165,7 +172,14 @@ def resolve(
                 total += (covered - total) * (scene.stage.outline * line)
         packed = 0
         if ti.static(scene.transparent):
-            packed = encode(total / ti.max(covered, 1), x, y) | alpha_byte(ti.cast(covered, ti.f32) / scene.samples)
+            solid = ti.cast(covered, ti.f32)
+            if ti.static(scene.catches_shadow):
+                k = ti.abs(which) - 1
+                if covered < scene.samples and k >= 0:
+                    share = behind_share(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
+                    behind = plane_colour(scene, view, planes, look, eye, ray, k, share, open_share)
+                    solid += (scene.samples - covered) * darkening(behind, scene.backdrop[pixel])
+            packed = encode(total / ti.max(solid, ti.f32(1e-6)), x, y) | alpha_byte(solid / scene.samples)
         else:
             plain = covered == 0
             if covered < scene.samples:

@@ -26,7 +26,7 @@ from taichi_sim.common.progress import waiting
 
 NAMES = (
     "x.mp4, x.webm, x.gif or x.webp; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others;"
-    " x.pvd for ParaView; x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
+    " x.glb for browsers and others; x.pvd for ParaView; x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
 )
 
 

@@ -245,6 +245,7 @@ class Output(Strict):
     ambient_occlusion: bool = _key(False, "soft shadow where surfaces are close, in 3D")
     shadow: bool = _key(True, "that of the sun, in 3D")
     transparent: bool = _key(False, "PNG frames with alpha, without background and ground")
+    shadow_catcher: bool = _key(False, "in a transparent picture, the shadows on the ground as black with alpha, in 3D")
     colour: Literal["object", "strain", "speed"] = _key("object", "what colours show")
     colour_range: Annotated[tuple[FiniteFloat, FiniteFloat], AfterValidator(_rising)] | None = _key(
         None, "strain [1] or speed [m/s] that get the first and the last colour"
@@ -252,6 +253,13 @@ class Output(Strict):
     subdivide: Literal[0, 1, 2] = _key(0, "how many times each triangle of a surface is divided into four, smoothly")
     crease: Annotated[FiniteFloat, Ge(0), Le(180)] = _key(
         40.0, "between triangles at the start, from which their edge is sharp, in 3D; not where subdivide is [degrees]"
+    )
+    shutter: Annotated[FiniteFloat, Ge(0)] = _key(0.0, "how long the shutter is open, for motion blur [s]")
+    aperture: Annotated[FiniteFloat, Ge(0)] = _key(
+        0.0, "diameter of the lens, for depth of field about the camera's target, in 3D [m]"
+    )
+    exposures: Annotated[int, Ge(1), Le(256)] = _key(
+        16, "pictures in the mean of one with a shutter or an aperture; each takes as long as a picture [1]"
     )
     looks: Annotated[tuple[dict[str, Any], ...] | None, WithJsonSchema({"type": "array", "items": _object(Look)})] = (
         _key(None, "how the surfaces of shapes and colliders look, in 3D")

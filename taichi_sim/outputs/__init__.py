@@ -21,6 +21,7 @@ OTHERS = {  # the module and the class of each ending
     ".npz": ("arrays", "Arrays"),
     ".usdc": ("usd", "Usd"),
     ".usda": ("usd", "Usd"),
+    ".glb": ("gltf", "Gltf"),
     ".pvd": ("paraview", "ParaView"),
     ".gsd": ("trajectory", "Trajectory"),
     ".csv": ("table", "Table"),
@@ -39,9 +40,9 @@ def open_output(
     codec: str | None = None,
 ) -> Output:
     """The output for a name: x.mp4 or x.webm a video, x.gif or x.webp an animation, x.npz arrays, x.usdc or x.usda a USD scene,
-    x.pvd files for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh for each frame, a
-    name without an ending PNG frames. Where x.csv is a pipe (a FIFO) its rows are written into it. fps [1/s]: at which a film,
-    x.npz and a USD scene are shown; that of `export` by default.
+    x.glb a glTF scene, x.pvd files for ParaView, x.gsd a trajectory, x.csv a table of energies and probes, x.ply or x.obj a mesh
+    for each frame, a name without an ending PNG frames. Where x.csv is a pipe (a FIFO) its rows are written into it. fps [1/s]:
+    at which a film, x.npz and a scene are shown; that of `export` by default.
 
     It is opened at once: ValueError for another ending or where a package that it needs is missing, OSError where it cannot be
     written. overwrite is for a folder of frames that is not empty; a file is replaced when the new one is complete, x.gsd and
@@ -60,7 +61,7 @@ def open_output(
     if codec is not None and codec not in codecs:
         allowed = ", ".join(f"{', '.join(known)} for x{ending}" for ending, known in CODECS.items())
         raise ValueError(f"codec: {codec!r} is not allowed for {name}; there are {allowed}")
-    films = *CODECS, ".gif", ".webp", ".usdc", ".usda"
+    films = *CODECS, ".gif", ".webp", ".usdc", ".usda", ".glb"
     rate = film_rate(fps) if fps is not None and suffix in films else fps
     if codecs:
         from taichi_sim.outputs.video import Video

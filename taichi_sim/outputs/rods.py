@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["from_z", "rod"]
+__all__ = ["ROD", "from_z", "rod"]
 
+ROD = 0.28  # radius of a spring, of that of its thinner ball, as in pictures
 SIDES = 12
 
 

@@ -1,7 +1,6 @@
 """A scene in USD, which Blender, Houdini, Omniverse, Unreal and Maya open: what pictures show, over time."""
 
 import os
-from collections.abc import Mapping
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
@@ -12,18 +11,17 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import naming
-from taichi_sim.outputs.base import USUAL_FPS, Deferred
+from taichi_sim.outputs.base import USUAL_FPS
 from taichi_sim.outputs.extras import needed
-from taichi_sim.outputs.parts import Textures, placed, textures_of
+from taichi_sim.outputs.parts import placed
+from taichi_sim.outputs.scene_film import SceneFilm
 from taichi_sim.outputs.usd_stage import Stage
 from taichi_sim.render.camera import Camera
-from taichi_sim.render.renderer import evenly
-from taichi_sim.render.tracker import Tracker
 
 MODULES = ("pxr", *(f"pxr.{name}" for name in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "Vt")))  # that are used
 
 
-class Usd(Deferred):
+class Usd(SceneFilm):
     """/World holds an Xform for each object, with its name, and in it a Mesh (points and normals over time, st where the object
     has places on a texture), a PointInstancer of spheres (scales: radii) for balls that no surface covers, and one of rods
     for springs. The only one of these is called as its object is; of several each ends with _surface, _balls, _springs.
@@ -34,30 +32,11 @@ class Usd(Deferred):
     Frames wait in the log beside the file until it is complete. resume: go on where a run into the same name was cut off.
     """
 
-    needs_image = False
-    apart = True
-    is_film = True
-
     def __init__(self, path: str | PathLike[str], fps: float | None = None, resume: bool = False) -> None:
         # here, where no other thread loads a library: while these load they wait for the thread that runs Python
         for name in MODULES:
             needed(name, "usd", Path(path))
         super().__init__(path, fps, resume)
-        self._aspect = 16 / 9
-        self._tracker: Tracker | None = None
-        self._textures: Textures = {}
-
-    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
-        self._aspect = size[0] / size[1]
-        self._textures = textures_of(style, self.path.parent)
-        self._place_camera(first, style.get("camera"))
-
-    def _place_camera(self, first: Frame, camera: Any) -> None:
-        if first.dim == 3:
-            self._tracker = Tracker(first, camera, self._aspect)
-
-    def options(self) -> Mapping[str, Any]:
-        return {"aspect": self._aspect, "textures": dict(self._textures)}
 
     def finish(self) -> None:
         """Write the file from the frames that were kept."""
@@ -65,8 +44,8 @@ class Usd(Deferred):
         part.unlink(missing_ok=True)
         with naming(self.path):
             fps = float(Fraction(self.fps or USUAL_FPS).limit_denominator(100_000))
-            stage = Stage(part, self.log.first, fps, self._aspect, self._textures)
-            self._fit()
+            stage = Stage(part, self.log.first, fps, self.aspect, self.textures)
+            self.fit_camera()
             for index, frame in self.log.frames():
                 stage.add(index, self._changes(frame))
             stage.save(self.frames)
@@ -87,17 +66,10 @@ class Usd(Deferred):
             now["torn_triangles"] = frame.torn_triangles
         if frame.colliders:
             now["centres"], now["rotations"] = (np.array(part) for part in zip(*placed(frame)))
-        if self._tracker is not None:
-            now["camera"] = _as_row(self._tracker.at(frame))
+        camera = self.camera(frame)
+        if camera is not None:
+            now["camera"] = _as_row(camera)
         return now
-
-    def _fit(self) -> None:
-        """Place a camera that is to show all of the run, as that of pictures is placed."""
-        if self._tracker is None and self.log.first is not None:
-            self._place_camera(self.log.first, None)
-        if self._tracker is not None and self._tracker.is_open and self.frames:
-            shown = evenly(self.frames)
-            self._tracker.fit([frame for index, frame in self.log.frames() if index in shown])
 
 
 def _as_row(camera: Camera) -> NDArray[np.float64]:

@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d
-from taichi_sim.outputs.rods import from_z, rod
+from taichi_sim.outputs.rods import ROD, from_z, rod
+from taichi_sim.outputs.wall_squares import wall_squares
 from taichi_sim.render.camera import Camera, robust_bounds
 from taichi_sim.render.palette import to_linear
 
 APERTURE = 24.0  # mm, height of the camera's film: only its ratio to the focal length means something
 APERTURE_UNIT = 0.1  # m of the scene for each unit of the aperture of an orthographic camera
-ROD = 0.28  # radius of a spring, of that of its thinner ball, as in pictures
 ROUND_BALL = 3  # how often the triangles of a ball are cut in four
-FLOOR = 4.0  # sides of the square that stands for a wall, of the size of the scene
-LEVEL = 0.7  # cosine of the angle to the vertical up to which a wall is a floor, and shown
 MARGIN = 1.1  # of a flat scene in its camera
 MATERIALS = "/World/materials"
 UNSAVED = 1 << 26  # bytes that wait in memory
@@ -67,12 +65,11 @@ class Stage:
         ]
         self._rods = [(k, self._springs(k, pairs[owner == k], first.radius)) for k in np.unique(owner).tolist()]
         self._bodies = [self._body(one) for one in parts.bodies]
-        bounds, _ = robust_bounds(in_3d(first.position), first.radius)
-        self._walls(first, bounds)
+        self._walls(first)
         self._camera = self._define(UsdGeom.Camera, "/World", "camera")
         self._camera_place = self._camera.AddTransformOp()
         if first.dim == 2:
-            self._look_at_plane(bounds)
+            self._look_at_plane(robust_bounds(in_3d(first.position), first.radius)[0])
 
     def _define(self, kind: Any, parent: str, name: str) -> Any:
         """A prim with this name, or one like it where that is no identifier or taken, and then the name to be shown."""
@@ -163,20 +160,14 @@ class Stage:
         self._still(mesh, one.vertices, one.triangles, one.normals)
         return mesh.AddTransformOp()
 
-    def _walls(self, first: Frame, bounds: Any) -> None:
+    def _walls(self, first: Frame) -> None:
         from pxr import UsdGeom
 
-        middle, reach = 0.5 * (bounds.low + bounds.high), 0.5 * FLOOR * max(float(bounds.size), 1e-6)
-        for k, plane in enumerate(first.walls if first.walls.size else ()):
-            normal, offset = in_3d(plane[None, :-1])[0], plane[-1]
-            along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-            along /= np.linalg.norm(along)
-            across = np.cross(normal, along)
-            foot = middle + (offset - middle @ normal) * normal
-            corners = foot + reach * np.array([-along - across, along - across, along + across, across - along])
-            mesh = self._mesh("/World", f"wall_{k}", (0.8, 0.8, 0.8))
-            self._still(mesh, corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile(normal, (4, 1)))
-            if normal[1] < LEVEL or first.dim == 2:
+        for square in wall_squares(first):
+            wall = square.body
+            mesh = self._mesh("/World", wall.name, wall.colour)
+            self._still(mesh, wall.vertices, wall.triangles, wall.normals)
+            if not square.is_floor:
                 mesh.CreatePurposeAttr(UsdGeom.Tokens.guide)
 
     def _paint(self, prim: Any, colour: Any, texture: Texture | None = None) -> None:

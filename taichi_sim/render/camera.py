@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +30,11 @@ __all__ = [
 Floats = NDArray[np.float64]
 SAMPLED_BALLS = 20_000  # balls looked at: enough for a frame, quick for millions
 FIT_MARGIN = 1.10
+FEW_LOOSE = 30  # loose balls: all of fewer are shown
+STAYING, MUCH_NEARER = (
+    0.9,
+    0.75,
+)  # part of loose balls that is always shown; of the distance to all, where others are left out
 LARGE = 4.0  # times as large as the balls' box is a collider of which only the part beside them needs to be shown
 BESIDE = 0.25  # of the size of the balls' box
 AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view
@@ -56,6 +61,13 @@ class Camera:
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
 
+    def aside(self, right: float, up: float) -> "Camera":
+        """This camera with its eye so far [m] aside, towards the same target."""
+        if not right and not up:
+            return self
+        axes = self.axes()
+        return replace(self, eye=triple(np.array(self.eye) + right * axes[0] + up * axes[1]))
+
     @classmethod
     def fit(
         cls,
@@ -73,26 +85,34 @@ class Camera:
         time 0.
         """
         frames = [frames] if isinstance(frames, Frame) else frames
-        contents, radii = zip(*(_content(frame) for frame in frames))
-        radius = np.concatenate(radii)
+        contents, radii, loose = zip(*(_content(frame) for frame in frames))
+        radius, ball = np.concatenate(radii), np.concatenate(loose)
         turned = [
             cls(triple(_back(azimuth + orbit * frame.time, elevation)), (0.0, 0.0, 0.0)).axes() for frame in frames
         ]
         tall = math.tan(math.radians(fov) / 2) / FIT_MARGIN
         slopes = np.array([tall * aspect, tall])
-        low = np.min([points.min(axis=0) for points in contents], axis=0)
-        high = np.max([points.max(axis=0) for points in contents], axis=0)
+
+        def needed(place: Floats) -> tuple[Floats, Floats]:
+            """Points seen from a place, and the distance at which each of them is in the picture."""
+            local = np.concatenate([(points - place) @ axes.T for points, axes in zip(contents, turned)])
+            return local, ((np.abs(local[:, :2]) + radius[:, None]) / slopes - local[:, 2:]).max(axis=1)
+
+        every = np.concatenate(contents)
+        middle = np.median(every, axis=0) if target is None else np.array(target)
+        kept = ~_flown_off(needed(middle)[1], ball, len(contents[0]))
+        low, high = every[kept].min(axis=0), every[kept].max(axis=0)
         place = (low + high) / 2 if target is None else np.array(target)
         distance = 1.0
         for _ in range(4):  # place, then shift so that the margins on both sides are equal
-            local = np.concatenate([(points - place) @ axes.T for points, axes in zip(contents, turned)])
-            need = (np.abs(local[:, :2]) + radius[:, None]) / slopes - local[:, 2:]
-            distance = max(float(need.max()), 1e-30)
+            local, need = needed(place)
+            distance = max(float(need[kept].max()), 1e-30)
             if target is not None or orbit:
                 break
-            depth = local[:, 2:] + distance
-            low = ((local[:, :2] - radius[:, None]) / depth).min(axis=0)
-            high = ((local[:, :2] + radius[:, None]) / depth).max(axis=0)
+            seen, wide = local[kept], radius[kept, None]
+            depth = seen[:, 2:] + distance
+            low = ((seen[:, :2] - wide) / depth).min(axis=0)
+            high = ((seen[:, :2] + wide) / depth).max(axis=0)
             place = place + ((low + high) / 2 * distance * 0.7) @ turned[0][:2]
         return cls(triple(place + _back(azimuth, elevation) * distance), triple(place), fov=fov)
 
@@ -207,8 +227,26 @@ def _back(azimuth: float, elevation: float) -> Floats:
     return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
 
 
-def _content(frame: Frame) -> tuple[Floats, Floats]:
-    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and their feet on walls nearby."""
+def _flown_off(need: Floats, ball: NDArray[np.int64], start: int) -> NDArray[np.bool_]:
+    """Mask (k,) of the points of loose balls (-1: no loose ball) that fly off: at most a tenth of them, without which the camera
+    comes much nearer, and which are beyond all that is seen at the start. need (k,): distance of the camera that has a point in
+    the picture; start: points of the first frame."""
+    loose = ball >= 0
+    numbers, own = np.unique(ball[loose], return_inverse=True)
+    gone = np.zeros(len(ball), dtype=bool)
+    if len(numbers) < FEW_LOOSE:
+        return gone
+    reach = np.zeros(len(numbers))
+    np.maximum.at(reach, own, need[loose])
+    near = max(float(np.quantile(reach, STAYING)), float(need[~loose].max(initial=0.0)), float(need[:start].max()))
+    if near < MUCH_NEARER * reach.max():
+        gone[loose] = reach[own] > near
+    return gone
+
+
+def _content(frame: Frame) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and their feet on walls nearby; and
+    the loose ball that each is of, or -1."""
     seen = np.ones(len(frame.position), dtype=bool)
     seen[frame.torn_triangles] = False
     seen[frame.triangles] = True
@@ -216,8 +254,12 @@ def _content(frame: Frame) -> tuple[Floats, Floats]:
     position, radius = frame.position[shown], frame.radius[shown]
     bounds, kept = robust_bounds(position, radius)
     if len(position) == 0:
-        return np.stack([bounds.low, bounds.high]), np.zeros(2)
+        return np.stack([bounds.low, bounds.high]), np.zeros(2), np.full(2, -1)
     drawn = embedded_vertices(frame, bounds)
+    held = np.zeros(len(frame.position), dtype=bool)
+    for parts in (frame.springs, frame.triangles):
+        held[parts] = True
+    ball = np.concatenate([np.where(held[shown], -1, shown)[kept], np.full(len(drawn), -1)])
     points = np.concatenate([position[kept], drawn])
     sizes = np.concatenate([radius[kept], np.zeros(len(drawn))])
     for plane in frame.walls if frame.walls.size else ():
@@ -225,6 +267,8 @@ def _content(frame: Frame) -> tuple[Floats, Floats]:
         if 0 < height.min() < 1.2 * bounds.size:
             points = np.concatenate([points, points - height[:, None] * plane[:3]])
             sizes = np.concatenate([sizes, np.zeros(len(height))])
+            ball = np.concatenate([ball, ball])
     sizes = np.maximum(sizes, 0.02 * bounds.size)
     corners = near_boxes(frame, bounds)
-    return np.concatenate([points, corners]), np.concatenate([sizes, np.zeros(len(corners))])
+    numbers = np.concatenate([ball, np.full(len(corners), -1)])
+    return np.concatenate([points, corners]), np.concatenate([sizes, np.zeros(len(corners))]), numbers

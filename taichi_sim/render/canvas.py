@@ -71,8 +71,10 @@ class Canvas:
         shadow: bool,
         occlusion: bool,
         transparent: bool = False,
+        shadow_catcher: bool = False,
     ) -> None:
         pixels = size[0] * size[1]
+        self.catches_shadow = shadow_catcher
         self.stage = stage
         self.samples, self.transparent, self.shadow_size = samples, transparent, SHADOW_SIDE[samples]
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())

@@ -45,15 +45,14 @@ def background_colours(given: Any, top: Any, bottom: Any) -> tuple[NDArray, NDAr
 
 
 def body_colours(frame: Frame) -> NDArray[np.float64]:
-    """sRGB (n, 3): the frame's own colours where it has them, otherwise one of the palette for each connected body."""
+    """sRGB (n, 3): the frame's own colours where it has them, otherwise one of the palette for each connected body, of springs,
+    triangles or elements."""
     n = len(frame.position)
     given = frame.colour if len(frame.colour) == n else np.full((n, 3), np.nan)
     missing = ~np.all(np.isfinite(given), axis=1)
     if not missing.any():
         return np.clip(given, 0.0, 1.0)
-    triangles = np.concatenate([frame.triangles, frame.torn_triangles])
-    springs = np.concatenate([frame.springs, frame.torn_springs])  # what tears keeps its colour
-    label = components(n, np.concatenate([springs, triangles[:, :2], triangles[:, 1:]]).reshape(-1, 2))
+    label = components(n, np.concatenate([_chains(rows) for rows in _joined(frame)]))
     order = np.cumsum(label == np.arange(n)) - 1  # bodies counted in order of their first ball
     body = order[label]
     bodies = int(body.max()) + 1
@@ -67,6 +66,18 @@ def body_colours(frame: Frame) -> NDArray[np.float64]:
     shade = 0.93 + 0.14 * ((noise >> np.uint64(20)) % np.uint64(16)).astype(float)[:, None] / 16
     chosen = PALETTE[index] * shade
     return np.clip(np.where(missing[:, None], chosen, given), 0.0, 1.0)
+
+
+def _joined(frame: Frame) -> list[NDArray]:
+    """Balls (k, width) that are parts of one body, row by row; what tears keeps its colour."""
+    springs, triangles = [frame.springs, frame.torn_springs], [frame.triangles, frame.torn_triangles]
+    scene = getattr(frame, "scene", None)
+    return [*springs, *triangles, *(() if scene is None else (scene.bricks, scene.solids))]
+
+
+def _chains(rows: NDArray) -> NDArray:
+    """Pairs (p, 2) of those that stand beside each other in rows (k, width)."""
+    return np.stack([rows[:, :-1].ravel(), rows[:, 1:].ravel()], axis=1)
 
 
 def _hash(index: NDArray) -> NDArray[np.uint64]:

@@ -1,6 +1,7 @@
 """Renderer: frames to pictures, without OpenGL, window or display."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.device import backend
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.colouring import Colouring
+from taichi_sim.render.exposure import EXPOSURES, Exposure, Mean
 from taichi_sim.render.smoothing import CREASE
 from taichi_sim.render.stages import STAGES
 from taichi_sim.scene.camera_path import CameraPath
@@ -37,7 +39,9 @@ class Renderer:
     to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly; crease: in 3D,
     the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided;
     stage: "day", "studio" or "blueprint", the light and what lies behind, in place of which a background may be; looks: in 3D,
-    the keys of a `Look` for each of some shapes and colliders. Raises ValueError for a bad argument.
+    the keys of a `Look` for each of some shapes and colliders; shutter [s], aperture [m], exposures: see `Exposure`;
+    shadow_catcher: in 3D, transparent pictures hold the shadows on the ground, as black with alpha. Raises ValueError for a bad
+    argument.
     `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which colours are not multiplied; row 0 at
     the top, sRGB.
     """
@@ -57,6 +61,10 @@ class Renderer:
         crease: float = CREASE,
         stage: str = "day",
         looks: Sequence[Mapping[str, Any]] = (),
+        shutter: float = 0.0,
+        aperture: float = 0.0,
+        exposures: int = EXPOSURES,
+        shadow_catcher: bool = False,
     ) -> None:
         width, height = (int(side) for side in validation.vector("size", size, 2))
         if width < 1 or height < 1:
@@ -67,6 +75,9 @@ class Renderer:
             raise ValueError(f"crease: {crease!r} is not allowed; it must be an angle from 0 to 180 degrees")
         if stage not in STAGES:
             raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
+        self._exposure = Exposure(shutter, aperture, exposures)
+        if frame.dim == 2:  # all is as far away
+            self._exposure = replace(self._exposure, aperture=0.0)
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         shapes = [one.name for one in frame.objects]
         colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]
@@ -79,9 +90,19 @@ class Renderer:
         if frame.dim == 3:
             from taichi_sim.render.renderer3d import Renderer3D
 
-            self._painter = Renderer3D(
-                frame, self.size, background, ambient_occlusion, shadow, camera, *look, crease, STAGES[stage], styles
+            given = (
+                frame,
+                self.size,
+                background,
+                ambient_occlusion,
+                shadow,
+                camera,
+                *look,
+                crease,
+                STAGES[stage],
+                styles,
             )
+            self._painter = Renderer3D(*given, shadow_catcher)
         else:
             from taichi_sim.render.renderer2d import Renderer2D
 
@@ -89,7 +110,13 @@ class Renderer:
 
     def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
         """The picture of a frame of the same scene. In 3D it may be `coarse` times less wide and high, and so much quicker."""
-        return self._open().render(frame, coarse)
+        painter = self._open()
+        if self._exposure.is_sharp:
+            return painter.render(frame, coarse)
+        mean = Mean()
+        for moved, aside in self._exposure.moments(frame):
+            mean.add(painter.render(moved, coarse, aside))
+        return mean.picture()
 
     @property
     def camera(self) -> Any:

@@ -76,8 +76,9 @@ class Renderer2D:
         self._capacity = (-1, -1, -1)
         self._prepare(frame)
 
-    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top; quick enough never to be coarse."""
+    def render(self, frame: Frame, coarse: int = 1, aside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4), sRGB, row 0 at the top; quick enough never to be coarse. aside: of no
+        account, all is as far away."""
         self._prepare(frame)
         self.skip(frame)
         width, height = self.size

@@ -41,6 +41,8 @@ class Renderer3D:
     """Renderer of 3D frames, see `Renderer`. Inside, lengths are in units of the scene's size about its centre: f32
     suffices."""
 
+    camera: Camera
+
     def __init__(
         self,
         frame: Frame,
@@ -55,8 +57,9 @@ class Renderer3D:
         crease: float = CREASE,
         stage: Stage = DAY,
         looks: Sequence[Look] = (),
+        shadow_catcher: bool = False,
     ) -> None:
-        self.size = size
+        self.size, self._shadow_catcher = size, shadow_catcher
         self._transparent, self._colouring, self._subdivide = transparent, colouring, subdivide
         self._stage, self._looks = stage, looks
         self._crease, self._rest = crease, frame.position.copy()
@@ -73,10 +76,19 @@ class Renderer3D:
         self._canvas: Any = None
         self._prepare(frame)
 
-    def render(self, frame: Frame, coarse: int = 1) -> NDArray[np.uint8]:
-        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top."""
+    def render(self, frame: Frame, coarse: int = 1, aside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.uint8]:
+        """The picture of a frame, (height, width, 3 or 4) / coarse, sRGB, row 0 at the top. aside [m]: so far to the right of
+        the camera and above it, towards the same target."""
         self._prepare(frame)
         self._aim(frame)
+        standing = self.camera
+        self.camera = standing.aside(*aside)
+        try:
+            return self._drawn(frame, coarse)
+        finally:
+            self.camera = standing
+
+    def _drawn(self, frame: Frame, coarse: int) -> NDArray[np.uint8]:
         rods, strain = self._content.rods, None
         if len(rods) and len(frame.strain) == len(frame.springs):
             strain = frame.strain[rods]
@@ -175,9 +187,8 @@ class Renderer3D:
         if self._canvas is None:
             drawn = int(np.count_nonzero(content.radius)) + len(content.rods)
             samples = 1 if drawn > MANY_PRIMITIVES and not self._transparent else 4
-            self._canvas = Canvas(
-                self.size, samples, self._stage, self._shadow, self._ambient_occlusion, self._transparent
-            )
+            ground = self._transparent, self._shadow_catcher
+            self._canvas = Canvas(self.size, samples, self._stage, self._shadow, self._ambient_occlusion, *ground)
         colour = to_linear(content.colour)
         if len(frame.pinned) == len(colour) and not len(frame.triangles):
             colour = np.where(

@@ -39,6 +39,7 @@ from taichi_sim.shapes.base import (
     surface_part,
     with_preset,
 )
+from taichi_sim.shapes.filling import filling
 
 __all__ = ["JELLY_DENSITY", "jelly", "of_body"]
 
@@ -114,7 +115,8 @@ def jelly(
         damping: of each spring [N s/m]. In a material the viscosity that springs of such damping along all edges would give.
             A tenth of the critical damping of two neighbouring balls by default.
         spacing: of the boxes, or about that of the tetrahedra's corners [m]; a sixteenth of the longest side of the mesh.
-        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision.
+        radius: of each ball [m]; 0.45 of the smallest spacing by default, 0.25 in a mesh or with surface_collision. In 2D a
+            material without a radius is drawn as its filled area in place of its balls.
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
         up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
@@ -221,7 +223,8 @@ def of_body(
     **placed: Any,
 ) -> Shape:
     """Add a jelly of a material; shape: its name in messages. mass: of all of it [kg]; height: m, for the default of Young's
-    modulus; bounded: that default is stable at 1 ms. The rest as for `jelly`; placed: velocity, position and the like.
+    modulus; bounded: that default is stable at 1 ms. The rest as for `jelly`; placed: velocity, position and the like. In 2D
+    pictures show its filled area, out to where its balls end, where no radius asks for balls.
     """
     if surface_collision and scene.dim == 2:
         raise SceneError(f"{shape}.surface_collision", says="needs a scene with dim = 3")
@@ -243,7 +246,11 @@ def of_body(
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
     mu, density = lame(scene.dim, modulus, ratio)[0], float(masses.sum() / body.volume.sum())
     elements = body.elements(modulus, ratio, _viscosity(body.side, mu, density, drag, scene.dim))
-    return build(scene, shape, body.points, [], body.triangles, part, 0.0, None, **elements)
+    made = build(scene, shape, body.points, [], body.triangles, part, 0.0, None, **elements)
+    if scene.dim == 2 and radius is None:
+        corners, weights = filling(body.points, body.area, ball_radius)
+        scene.add_embedded_surface(made.balls[corners], weights, body.area, colour=colour)
+    return made
 
 
 def _viscosity(side: float, mu: float, density: float, drag: float | None, dim: int) -> float:

@@ -69,6 +69,11 @@ class Boxes(NamedTuple):
         """Elements of a shape, by their name."""
         return {"bricks": Bricks(self.bricks, young_modulus, poisson_ratio, viscosity, self.size)}
 
+    @property
+    def area(self) -> NDArray[np.int64]:
+        """Triangles (t, 3) that fill it in 2D, counter-clockwise."""
+        return np.concatenate([self.bricks[:, corners] for corners in ((0, 2, 3), (0, 3, 1))])
+
 
 class Simplices(NamedTuple):
     """A body of tetrahedra, in 2D of triangles."""
@@ -92,6 +97,11 @@ class Simplices(NamedTuple):
     def elements(self, young_modulus: float, poisson_ratio: float, viscosity: float) -> dict[str, Any]:
         """Elements of a shape, by their name."""
         return {"solids": Solids(self.cells, young_modulus, poisson_ratio, viscosity)}
+
+    @property
+    def area(self) -> NDArray[np.int64]:
+        """Triangles (t, 3) that fill it in 2D, counter-clockwise."""
+        return self.cells
 
 
 # Lattices ----------------------------------------------------------------------------------------------------------

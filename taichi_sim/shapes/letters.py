@@ -80,7 +80,8 @@ def text(
         density: of jelly [kg/m^3, in 2D kg/m^2]; young_modulus: of jelly [Pa, in 2D N/m]; poisson_ratio: of jelly [1].
         plane: of jelly in 2D, "stress" or "strain", see `jelly`.
         mass_per_area: of cloth [kg/m^2]; stretch_stiffness: of cloth [N/m]; bending_rigidity: of cloth [N m].
-        radius: of each ball [m]; 0.45 of the spacing by default, 0.25 with surface_collision.
+        radius: of each ball [m]; 0.45 of the spacing by default, 0.25 with surface_collision. Jelly in 2D without a radius is
+            drawn as its filled area in place of its balls.
     """
     given = {name: value for name, value in locals().items() if name not in ("scene", "text", "font")}
     tall = validation.number("text.height", height, positive=True)
@@ -129,7 +130,8 @@ def svg(
         density: of jelly [kg/m^3, in 2D kg/m^2]; young_modulus: of jelly [Pa, in 2D N/m]; poisson_ratio: of jelly [1].
         plane: of jelly in 2D, "stress" or "strain", see `jelly`.
         mass_per_area: of cloth [kg/m^2]; stretch_stiffness: of cloth [N/m]; bending_rigidity: of cloth [N m].
-        radius: of each ball [m]; 0.45 of the spacing by default, 0.25 with surface_collision.
+        radius: of each ball [m]; 0.45 of the spacing by default, 0.25 with surface_collision. Jelly in 2D without a radius is
+            drawn as its filled area in place of its balls.
         colour: sRGB in 0..1 [1]; the drawing's own otherwise.
     """
     given = {name: value for name, value in locals().items() if name not in ("scene", "file")}

@@ -41,6 +41,7 @@ HELP = (
 USE = "use `taichi-sim run SCENE -o x.mp4` instead"
 FIGURES, KEYS, NOTHING = range(3)  # what the overlay shows; h goes through them
 MESSAGE_TIME = 3.0  # s that a message stays
+SHARP = {"shutter": 0.0, "aperture": 0.0}  # of pictures: a window has no time for means of many
 SLOW_PICTURE = 0.05  # s: where a picture takes longer, what moves is drawn less fine
 COARSEST = 3  # times less wide and high than the window
 PAN = ("RMB", "MMB")
@@ -94,7 +95,7 @@ def show(
             say_how_long()
             with watched(say_how_long):  # after each kernel
                 frame = simulation.frame()
-                renderer = stack.enter_context(Renderer(frame, size=size, **(style or {})))
+                renderer = stack.enter_context(Renderer(frame, size=size, **{**(style or {}), **SHARP}))
                 screen.picture[:] = renderer.render(frame)
                 simulation.step(0)
             say_how_long()

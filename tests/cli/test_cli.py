@@ -316,7 +316,7 @@ REFUSED = [
     ),
     (
         ("run", "ball.toml", "-o", "x.avi"),
-        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.webp, x.npz, x.usdc, x.usda, x.pvd, x.gsd, x.csv, x.ply,",
+        "x.avi: '.avi' is not allowed; use x.mp4, x.webm, x.gif, x.webp, x.npz, x.usdc, x.usda, x.glb, x.pvd, x.gsd, x.csv,",
     ),
     (
         ("run", "ball.toml", "-o", "x.npz", "-o", "full/../x.npz"),

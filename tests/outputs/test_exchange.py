@@ -61,7 +61,7 @@ def test_a_file_is_shown_at_the_rate_of_its_frames(tmp_path, monkeypatch, given,
 
 def test_rates_that_films_cannot_have(tmp_path):
     pytest.importorskip("pxr.Usd", reason="usd-core is not installed")
-    for ending in ("mp4", "webm", "gif", "webp", "usda"):
+    for ending in ("mp4", "webm", "gif", "webp", "usda", "glb"):
         with pytest.raises(ts.SceneError, match="fps: 1e-05 is not allowed"):
             open_output(tmp_path / f"x.{ending}", fps=1e-5)
         with pytest.raises(ts.SceneError, match="fps: 1e-05 is not allowed"):

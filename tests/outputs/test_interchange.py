@@ -16,7 +16,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.frame import Placed
 from taichi_sim.outputs import CODECS, OTHERS, Output, export, open_output, open_outputs
 from taichi_sim.outputs.parts import Parts
-from taichi_sim.outputs.usd_stage import ROD
+from taichi_sim.outputs.rods import ROD
 from taichi_sim.render.palette import to_linear
 from taichi_sim.scene.document import document, fill
 from taichi_sim.scene.objects import named
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.once
 FPS, FRAMES = 30.0, 5
 RED, BLUE, GREEN = (0.9, 0.2, 0.1), (0.2, 0.4, 0.9), (0.0, 1.0, 0.0)
 NAMES = ["left flag", "jelly_0", "rope_0", "balls"]
-FORMATS = ("x.usdc", "x.usda", "x.pvd", "x.gsd", "x.csv", "x.npz", "x.ply", "x.obj")
+FORMATS = ("x.usdc", "x.usda", "x.glb", "x.pvd", "x.gsd", "x.csv", "x.npz", "x.ply", "x.obj")
 
 
 class Seen(Output):

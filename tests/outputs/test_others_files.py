@@ -355,7 +355,7 @@ def test_a_reader_that_goes_ends_the_run_with_a_sentence(tmp_path):
         export(Slow(), open_output(tmp_path / "x.csv"), duration=0.5)
 
 
-@pytest.mark.parametrize("name", ["x.npz", "x.gif", "x.mp4", "x.ply", "x.pvd", "x.gsd", "x.usdc"])
+@pytest.mark.parametrize("name", ["x.npz", "x.gif", "x.mp4", "x.ply", "x.pvd", "x.gsd", "x.usdc", "x.glb"])
 def test_a_pipe_is_no_place_for_other_formats(tmp_path, name):
     os.mkfifo(tmp_path / name)
     with pytest.raises(OSError, match=r"is a pipe; only x\.csv can be written into one"):

@@ -148,7 +148,7 @@ def files(folder):
 
 
 OPTIONAL = {"x.gsd": "gsd", "x.usda": "pxr", "x.usdc": "pxr"}
-FORMATS = ["x.mp4", "x.webm", "x.gif", "x.webp", "frames/", "x.npz", "x.ply", "x.obj", "x.pvd", "x.csv", "own"]
+FORMATS = ["x.mp4", "x.webm", "x.gif", "x.webp", "frames/", "x.npz", "x.glb", "x.ply", "x.obj", "x.pvd", "x.csv", "own"]
 FORMATS += [name for name, module in OPTIONAL.items() if find_spec(module)]
 TOGETHER = ("x.npz", "x.mp4", "own", "x.ply")
 GROWING = ["x.mp4", "x.csv", "x.pvd", *(name for name in FORMATS if name == "x.gsd")]

@@ -383,3 +383,39 @@ def test_a_camera_that_is_put_elsewhere_stays_there(dim):
         assert not np.array_equal(renderer.render(frames[1]), image)
         renderer.render(frames[2])
         assert renderer.camera == first
+
+
+# What flies off ------------------------------------------------------------------------------------------------------------
+
+
+def scattering(loose, fast, springs=True):
+    """Frames of a block of eight balls on springs, of two metres, and of loose balls of which some are flung away."""
+    block = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    rng = np.random.default_rng(5)
+    beside = rng.uniform(-1.5, 1.5, (loose, 3))
+    speed = np.zeros((loose, 3))
+    speed[:fast] = rng.normal(size=(fast, 3)) * [6, 1, 6] + [4, 0, 0]
+    pairs = np.array([[k, k + 1] for k in range(7)], dtype=np.int32) if springs else np.zeros((0, 2), dtype=np.int32)
+    for time in np.linspace(0, 1, 5):
+        x = np.concatenate([block, beside + time * speed])
+        yield Frame(time=time, position=x, velocity=0 * x, radius=np.full(len(x), 0.1), springs=pairs)
+
+
+@pytest.mark.parametrize(("loose", "fast", "leaves"), [(60, 5, True), (60, 12, True), (20, 2, False), (60, 0, False)])
+def test_few_balls_that_fly_off_are_left_out(loose, fast, leaves):
+    """At most a tenth of loose balls, and none where there are few of them; the block is always shown."""
+    frames = list(scattering(loose, fast))
+    camera = Camera.fit(frames, ASPECT)
+    reach = np.array([np.abs(on_screen(camera, frame)) for frame in frames]).max(axis=(0, 2))
+    assert np.all(reach[:8] < 1)
+    assert (reach > 1).any() == leaves
+    assert np.count_nonzero(reach > 1) <= 6
+    assert reach[reach < 1].max() > 0.75  # it fills the picture
+
+
+def test_springs_keep_balls_in_the_picture():
+    frames = list(scattering(60, 5))
+    for frame in frames:
+        frame.springs = np.array([[k, k + 1] for k in range(67)], dtype=np.int32)
+    camera = Camera.fit(frames, ASPECT)
+    assert max(np.abs(on_screen(camera, frame)).max() for frame in frames) < 1

@@ -338,6 +338,22 @@ def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
 
 
 @pytest.mark.slow
+def test_a_caught_shadow_darkens_what_is_under_the_picture():
+    """Laid over the picture without shadows, it is as bright as that with them."""
+    frame = balls([(0.0, 0.5, 0.0), (1.2, 0.3, 0.4)], [0.5, 0.3], [RED, GREEN], walls=np.array([[0.0, 1.0, 0.0, 0.0]]))
+    camera = Camera(eye=(0.0, 2.0, 6.0), target=(0.3, 0.4, 0.0), fov=35.0)
+    lit, shaded = (picture(frame, camera=camera, shadow=shadow) for shadow in (False, True))
+    plain, caught = (picture(frame, camera=camera, transparent=True, shadow_catcher=on) for on in (False, True))
+    alpha = caught[:, :, 3:] / 255
+    laid = linear(caught[:, :, :3]) * alpha + linear(lit) * (1 - alpha)
+    ground = plain[:, :, 3] == 0
+    assert np.abs((laid - linear(shaded)).mean(axis=2))[ground].max() < 0.02  # black has not the blue of the sky
+    assert np.count_nonzero(alpha[ground] > 0.2) > 80
+    assert np.all(caught[ground][:, :3] == 0)
+    assert np.array_equal(caught[plain[:, :, 3] == 255], plain[plain[:, :, 3] == 255])
+
+
+@pytest.mark.slow
 def test_a_picture_alone_is_the_one_of_a_run():
     """Whatever was drawn before, from elsewhere or coarser: sky and ground are kept, and only what was drawn on is cleared."""
     random = np.random.default_rng(4)

@@ -335,6 +335,34 @@ def test_a_texture_lies_as_the_corners_of_a_mesh_say(tmp_path):
     assert greenish(green)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["stripes", "checks", "texture"])
+def test_patterns_far_away_are_means_over_pixels(tmp_path, kind):
+    """A long carpet seen at a slant, as the mean of a picture four times as wide and high shows it; its triangles, all of one
+    mapping, are not seen. A filter as wide in all directions is off by 0.1 to 0.11."""
+    scene = Scene(dim=3)
+    carpet = shapes.cloth(scene, size=(8, 24), resolution=(9, 13), position=(-4, 0, -20), colour=(0.1, 0.2, 0.8))
+    scene.set_name(carpet.balls, "carpet")
+    squares = (np.indices((64, 64)) // 8).sum(axis=0) % 2 == 0
+    Image.fromarray(np.where(squares[..., None], (20, 40, 200), (245, 245, 235)).astype(np.uint8)).save(
+        tmp_path / "a.png"
+    )
+    look = {"of": "carpet", "pattern": kind, "pattern_colour": (0.96, 0.95, 0.92), "repeat": 16}
+    if kind == "texture":
+        look = {"of": "carpet", "texture": tmp_path / "a.png", "repeat": 4}
+    frame = frame_of(scene)
+    frame.objects = tuple(scene.objects)
+    seen = []
+    for times in (1, 4):
+        size = (SIZE[0] * times, SIZE[1] * times)
+        camera = Camera(eye=(0.3, 1.5, 5.0), target=(0, 0, -4))
+        with Renderer(frame, size=size, camera=camera, shadow=False, looks=[look]) as renderer:
+            seen.append(linear(renderer.render(frame)))
+    small, large = seen
+    mean = large.reshape(SIZE[1], 4, SIZE[0], 4, 3).mean(axis=(1, 3))
+    assert np.sqrt(np.mean((small - mean)[30:] ** 2)) < 0.065
+
+
 @pytest.mark.long
 def test_a_see_through_collider_shows_what_is_behind_it():
     """Half of a green ball through a red box; in a picture with alpha half of nothing. It casts no shadow, and gloss shines."""

@@ -85,6 +85,7 @@ FORMATS = (
     "x.obj",
     "x.ply",
     "x.usdc",
+    "x.glb",
     "x.pvd",
     "x.gsd",
     "x.csv",

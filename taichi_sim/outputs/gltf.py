@@ -1,0 +1,66 @@
+"""A scene in binary glTF, which browsers, Blender and most 3D programs open: what pictures show, over time."""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.common.atomic_file import replacing
+from taichi_sim.outputs.base import USUAL_FPS
+from taichi_sim.outputs.gltf_scene import GltfScene
+from taichi_sim.outputs.scene_film import SceneFilm
+
+__all__ = ["Gltf"]
+
+MOST_SHAPES = 128  # of a mesh: browsers on small devices have no room for many more
+MOST_BYTES = 1 << 28  # of all shapes together
+SHAPE_BYTES = 24  # of a vertex in a shape: place and normal
+
+
+class Gltf(SceneFilm):
+    """A node for each object, collider, floor and the camera, with their names; metres, y up, seconds. An object has a mesh whose
+    shapes (morph targets) are surfaces at moments of the run, nodes for loose balls and for springs between them, or all of these
+    in a node of its own. Colours and images of looks are materials, vertices have normals and, on a texture, places.
+
+    Meshes have at most MOST_SHAPES shapes and MOST_BYTES together: where there are more frames, shapes of some of them, evenly
+    spread, with a warning; between two of them points move straight. Frames wait in the log beside the file until it is complete.
+    resume: go on where a run into the same name was cut off.
+    """
+
+    def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
+        """Be ready. Raises ValueError where two shapes of all that is shown would already be too large."""
+        super().prepare(first, size, style)
+        self._shapes(GltfScene(first, self.textures, self.path.parent), 2)
+
+    def finish(self) -> None:
+        """Write the file from the frames that were kept."""
+        first = self.log.first
+        if first is not None:
+            scene, fps = GltfScene(first, self.textures, self.path.parent), float(self.fps or USUAL_FPS)
+            self.fit_camera()
+            shapes, shown = self._shapes(scene, self.frames), list[int]()
+            for index, frame in self.log.frames():
+                shown.append(index)
+                scene.add(frame, self.camera(frame), index in shapes)
+            with replacing(self.path) as file:
+                scene.write(file, fps, shown, [index for index in shown if index in shapes], self.aspect)
+        super().finish()
+
+    def _shapes(self, scene: GltfScene, count: int) -> set[int]:
+        """Numbers of the frames, of so many, at which meshes have a shape."""
+        most = MOST_BYTES // max(1, SHAPE_BYTES * scene.vertices)
+        if most < 2:
+            raise ValueError(
+                f"{self.path}: {scene.vertices} moving vertices are too many for .glb; at most"
+                f" {MOST_BYTES // SHAPE_BYTES // 2} are allowed; write x.usdc"
+            )
+        kept = min(count, most, MOST_SHAPES)
+        if kept < count and scene.vertices:
+            warnings.warn(
+                f"{self.path}: holds the surfaces at {kept} of {count} frames, evenly spread; .glb takes at most"
+                f" {MOST_SHAPES} shapes and {MOST_BYTES >> 20} MB of them",
+                stacklevel=2,
+            )
+        return set(np.rint(np.linspace(0, count - 1, kept)).astype(int).tolist())
