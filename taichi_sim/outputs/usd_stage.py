@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
-from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d
+from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d, wall_square
 from taichi_sim.outputs.rods import from_z, rod
 from taichi_sim.render.camera import Camera, robust_bounds
 from taichi_sim.render.palette import to_linear
@@ -20,7 +20,6 @@ APERTURE = 24.0  # mm, height of the camera's film: only its ratio to the focal 
 APERTURE_UNIT = 0.1  # m of the scene for each unit of the aperture of an orthographic camera
 ROD = 0.28  # radius of a spring, of that of its thinner ball, as in pictures
 ROUND_BALL = 3  # how often the triangles of a ball are cut in four
-FLOOR = 4.0  # sides of the square that stands for a wall, of the size of the scene
 LEVEL = 0.7  # cosine of the angle to the vertical up to which a wall is a floor, and shown
 MARGIN = 1.1  # of a flat scene in its camera
 MATERIALS = "/World/materials"
@@ -166,14 +165,8 @@ class Stage:
     def _walls(self, first: Frame, bounds: Any) -> None:
         from pxr import UsdGeom
 
-        middle, reach = 0.5 * (bounds.low + bounds.high), 0.5 * FLOOR * max(float(bounds.size), 1e-6)
         for k, plane in enumerate(first.walls if first.walls.size else ()):
-            normal, offset = in_3d(plane[None, :-1])[0], plane[-1]
-            along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-            along /= np.linalg.norm(along)
-            across = np.cross(normal, along)
-            foot = middle + (offset - middle @ normal) * normal
-            corners = foot + reach * np.array([-along - across, along - across, along + across, across - along])
+            corners, normal = wall_square(plane, bounds)
             mesh = self._mesh("/World", f"wall_{k}", (0.8, 0.8, 0.8))
             self._still(mesh, corners, np.array([[0, 1, 2], [0, 2, 3]]), np.tile(normal, (4, 1)))
             if normal[1] < LEVEL or first.dim == 2:

@@ -1,0 +1,271 @@
+"""What pages show of frames: balls, surfaces, springs, colliders and walls, as parts of a viser scene."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.geometry.spheres import icosphere
+from taichi_sim.outputs.parts import Parts, Surface, few_colours, in_3d, placed, wall_square
+from taichi_sim.render.camera import Camera, robust_bounds, triple
+from taichi_sim.render.colouring import COLOUR_SCALE, Colouring
+from taichi_sim.render.tracker import Tracker
+from taichi_sim.viewer.overlay import PULL
+from taichi_sim.viewer.web_server import WebServer
+
+__all__ = ["COLOURS", "WebStage"]
+
+Grip = Callable[[str, int, Any, NDArray], None]  # phase of a drag, page, a function that says which ball, place [m]
+
+COLOURS = ("object", "speed", "strain")
+MOST_SPHERES = 50_000  # loose balls from which on they are drawn as points, which cannot be dragged
+MOST_BALLS, MOST_SPRINGS, MOST_TRIANGLES = 200_000, 100_000, 400_000  # more are thinned
+ROUND = ((2_000, 2), (10_000, 1), (MOST_SPHERES, 0))  # so many spheres at most have triangles cut so often
+BANDS = 12  # colours of a surface that is coloured by a quantity
+SIZES = 8  # of points
+LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
+WALL = (0.82, 0.83, 0.85)  # sRGB
+FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
+
+
+class WebStage:
+    """The scene of all pages of a server, made from the first frame; `show` puts it to another one.
+
+    Pages have the unit of the scene's size, and its middle as the origin: a scene may be of any size, and anywhere. camera: as
+    that of a `Renderer`; grip: called when a ball is dragged, None: nothing can be dragged; notes: what is not shown, in words.
+    """
+
+    def __init__(self, server: WebServer, first: Frame, style: Mapping[str, Any], grip: Grip | None = None) -> None:
+        self.server, self.scene, self._grip = server, server.viser.scene, grip
+        self._parts, self._first, self._style = Parts(first), first, style
+        bounds, _ = robust_bounds(in_3d(first.position), first.radius)
+        self._bounds, self._centre, self._size = bounds, bounds.centre, bounds.size
+        self.notes: list[str] = []
+        self._shown: dict[str, Any] = {}  # handles by their names
+        self._kept: tuple[Any, Any] = (None, None)  # springs of a frame, and those that are shown
+        self._look(first, style.get("camera"))
+        self._choose()
+        self._walls(first)
+
+    # Places and colours --------------------------------------------------------------------------------------------
+
+    def _to_page(self, x: NDArray) -> NDArray[np.float32]:
+        return ((in_3d(x) - self._centre) / self._size).astype(np.float32)
+
+    def _to_scene(self, x: Any) -> NDArray[np.float64]:
+        return (np.asarray(x) * self._size + self._centre)[: self._first.dim]
+
+    def _look(self, first: Frame, camera: Any) -> None:
+        start = self.server.viser.initial_camera
+        self.scene.set_up_direction("+y")
+        if first.dim == 3:
+            seen = Tracker(first, camera, 16 / 9).first
+        else:
+            away = (0.0, 0.0, 0.6 * self._size / np.tan(np.radians(FLAT_FOV / 2)))
+            seen = Camera(triple(self._centre + away), triple(self._centre), fov=FLAT_FOV)
+        start.up, start.fov = seen.up, float(np.radians(seen.fov))
+        start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()
+
+    def _values(self, frame: Frame, colour: str) -> NDArray[np.float64] | None:
+        """Places of the balls on the scale of colours, or None where each object has its own."""
+        reach = self._style.get("colour_range") if colour == self._style.get("colour") else None
+        colouring = Colouring.of(self._first, colour, reach)
+        return None if colouring is None else colouring.values(frame)
+
+    # Choices, made once --------------------------------------------------------------------------------------------
+
+    def _choose(self) -> None:
+        parts = self._parts
+        triangles = sum(len(faces) for faces in parts.triangles(self._first))
+        self._surfaces = list(enumerate(parts.surfaces))
+        loose = parts.loose
+        if triangles > MOST_TRIANGLES:
+            self.notes.append(f"surfaces are drawn as points: {triangles} triangles are too many")
+            self._surfaces, loose = [], np.arange(len(parts.hidden))
+        self._balls = self._thinned("balls", loose, MOST_BALLS)
+        radius = self._first.radius[self._balls] / self._size
+        self._radius = np.where(radius > 0, radius, LEAST_BALL).astype(np.float32)
+        self._cuts = next((cuts for most, cuts in ROUND if len(self._balls) <= most), None)
+        if self._cuts is None and self._grip is not None:
+            self.notes.append(f"more than {MOST_SPHERES} balls are drawn as points, which cannot be dragged")
+
+    def _thinned(self, name: str, items: NDArray, most: int) -> NDArray:
+        """At most so many of them, evenly spread, which a note says."""
+        every = -(-len(items) // most) if len(items) else 1
+        note = f"1 of {every} {name} is drawn: {len(items)} are too many"
+        if every > 1 and note not in self.notes:
+            self.notes.append(note)
+        return items[::every]
+
+    # A frame -------------------------------------------------------------------------------------------------------
+
+    def show(self, frame: Frame, colour: str = "object", held: Any = None) -> None:
+        """Put all pages to a frame. colour: one of COLOURS; held: places (dim,) [m] of a ball and of what it is drawn to."""
+        values = self._values(frame, colour)
+        tint = _bytes(self._parts.colour) if values is None else _scale()[np.rint(255 * values).astype(np.int64)]
+        with self.server.viser.atomic():
+            self._show_balls(frame, tint)
+            faces = self._parts.triangles(frame)
+            for k, surface in self._surfaces:
+                self._show_surface(k, surface, frame, faces[k], values)
+            self._show_springs(frame, tint)
+            for k, (centre, rotation) in enumerate(placed(frame)):
+                self._show_body(k, centre, rotation)
+            self._show_hand(held)
+
+    def _show_balls(self, frame: Frame, tint: NDArray[np.uint8]) -> None:
+        balls = self._balls
+        if not len(balls):
+            return
+        at, tint = self._to_page(frame.position[balls]), tint[balls]
+        if self._cuts is None:
+            self._show_points(at, tint)
+        elif "balls" in self._shown:
+            self._shown["balls"].batched_positions, self._shown["balls"].batched_colors = at, tint
+        else:
+            ball = icosphere(self._cuts)
+            upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(balls), 1)).astype(np.float32)
+            self._shown["balls"] = self.scene.add_batched_meshes_simple(
+                "/balls", ball.vertices, ball.triangles, upright, at, batched_scales=self._radius, batched_colors=tint,
+                lod="off", cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+            self._let_drag(self._shown["balls"], lambda frame, event: int(balls[event.instance_index]))
+
+    def _show_points(self, at: NDArray, tint: NDArray) -> None:
+        """Balls as discs, those of like sizes together."""
+        sizes = np.quantile(self._radius, (np.arange(SIZES) + 0.5) / SIZES, method="nearest")
+        sizes = np.unique(sizes)
+        kind = np.abs(self._radius[:, None] - sizes).argmin(axis=1)
+        for k, size in enumerate(sizes.tolist()):
+            name, mine = f"points{k}", kind == k
+            if name in self._shown:
+                self._shown[name].points, self._shown[name].colors = at[mine], tint[mine]
+            else:
+                self._shown[name] = self.scene.add_point_cloud(
+                    f"/{name}", at[mine], tint[mine], point_size=size, point_shape="circle", precision="float32"
+                )
+
+    def _show_surface(
+        self, k: int, surface: Surface, frame: Frame, faces: NDArray, values: NDArray[np.float64] | None
+    ) -> None:
+        """Draw a surface as one mesh for each colour: meshes of viser have one."""
+        points = self._to_page(surface.points(in_3d(frame.position)))
+        if values is None:
+            palette, kind = few_colours(surface.colour)
+            kind, word = kind[faces[:, 0]], "colour"
+        else:
+            places = np.einsum("vk,vk->v", surface.weights, values[surface.corners])[faces].mean(axis=1)
+            kind, word = np.minimum((BANDS * places).astype(np.int64), BANDS - 1), "band"
+            palette = _scale()[((np.arange(BANDS) + 0.5) * 256 / BANDS).astype(np.int64)] / 255
+        there = set()
+        for b in np.unique(kind).tolist():
+            name = f"surface{k}_{word}{b}"
+            there.add(name)
+            self._show_mesh(name, points, faces[kind == b], palette[b], surface)
+        for name, handle in self._shown.items():
+            if name.startswith(f"surface{k}_"):
+                handle.visible = name in there
+
+    def _show_mesh(self, name: str, points: NDArray, faces: NDArray, colour: NDArray, surface: Surface) -> None:
+        used = np.zeros(len(points), dtype=bool)
+        used[faces] = True
+        faces = (np.cumsum(used) - 1)[faces]
+        if name in self._shown:
+            self._shown[name].vertices, self._shown[name].faces = points[used], faces.astype(np.uint32)
+            return
+        self._shown[name] = self.scene.add_mesh_simple(
+            f"/{name}",
+            points[used],
+            faces,
+            color=_bytes(colour),
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        corners = np.unique(surface.corners)
+
+        def nearest(frame: Frame, event: Any) -> int:
+            away = frame.position[corners] - self._to_scene(event.start_position)
+            return int(corners[np.einsum("ni,ni->n", away, away).argmin()])
+
+        self._let_drag(self._shown[name], nearest)
+
+    def _show_springs(self, frame: Frame, tint: NDArray[np.uint8]) -> None:
+        if self._kept[0] is not frame.springs:
+            pairs, _ = self._parts.springs(frame)
+            self._kept = frame.springs, self._thinned("springs", pairs, MOST_SPRINGS)
+        pairs = self._kept[1]
+        ends, tint = self._to_page(frame.position)[pairs], tint[pairs]
+        line = self._shown.get("springs")
+        if line is not None and len(line.points) == len(ends):
+            line.points, line.colors = ends, tint
+        elif line is not None or len(ends):
+            self._shown["springs"] = self.scene.add_line_segments(
+                "/springs", ends, tint, thickness=2.0, thickness_units="screen"
+            )
+
+    def _show_body(self, k: int, centre: NDArray, rotation: NDArray) -> None:
+        from scipy.spatial.transform import Rotation
+
+        name, body = f"collider{k}", self._parts.bodies[k]
+        if name not in self._shown:
+            is_hollow = self._first.colliders[k].collider.hollow > 0
+            self._shown[name] = self.scene.add_mesh_simple(
+                f"/{name}", body.vertices / self._size, body.triangles, color=_bytes(np.array(body.colour)),
+                side="back" if is_hollow and self._first.dim == 3 else "double", cast_shadow=False, receive_shadow=False,
+            )  # fmt: skip
+        x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+        self._shown[name].wxyz, self._shown[name].position = (w, x, y, z), self._to_page(centre[None])[0]
+
+    def _show_hand(self, held: Any) -> None:
+        line = self._shown.get("hand")
+        if held is None:
+            if line is not None:
+                line.visible = False
+            return
+        ends = self._to_page(np.stack(held))[None]
+        if line is None:
+            self._shown["hand"] = self.scene.add_line_segments(
+                "/hand", ends, PULL, thickness=4.0, thickness_units="screen"
+            )
+        else:
+            line.points, line.visible = ends, True
+
+    def _walls(self, first: Frame) -> None:
+        for k, plane in enumerate(first.walls if first.walls.size else ()):
+            corners, _ = wall_square(plane, self._bounds)
+            name = f"/wall{k}"
+            if first.dim == 3:
+                faces = np.array([[0, 1, 2], [0, 2, 3]])
+                self.scene.add_mesh_simple(
+                    name, self._to_page(corners), faces, color=_bytes(np.array(WALL)), side="front", cast_shadow=False
+                )
+            else:
+                ends = self._to_page(corners[:2] * [1.0, 1.0, 0.0])[None]
+                self.scene.add_line_segments(
+                    name, ends, _bytes(0.7 * np.array(WALL)), thickness=3.0, thickness_units="screen"
+                )
+
+    def _let_drag(self, handle: Any, ball: Any) -> None:
+        """Give drags of a part of the scene to `grip`. ball: which one, of the present frame and viser's event."""
+        grip = self._grip
+        if grip is None:
+            return
+
+        async def drag(event: Any) -> None:
+            to = self._to_scene(event.end_position)
+            self.server.later(lambda: grip(event.phase, event.client_id, lambda frame: ball(frame, event), to))
+
+        handle.on_drag("left")(drag)
+
+
+def _bytes(colour: NDArray) -> NDArray[np.uint8]:
+    return np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
+
+
+def _scale() -> NDArray[np.uint8]:
+    """The scale of colours in 256 steps, (256, 3) sRGB."""
+    place = np.linspace(0.0, len(COLOUR_SCALE) - 1.0, 256)
+    return _bytes(np.stack([np.interp(place, np.arange(len(COLOUR_SCALE)), one) for one in COLOUR_SCALE.T], axis=1))
