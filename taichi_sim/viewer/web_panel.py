@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -36,14 +37,15 @@ class History:
     def begin(self) -> None:
         """Forget all."""
         self._rows: list[list[float]] = []
-        self._every, self._seen = 1, 0
+        self._every, self._seen, self._last = 1, 0, -np.inf
 
     def add(self, time: float, values: Mapping[str, float]) -> None:
         """Take note of a moment [s]. One that is earlier than the last begins anew."""
-        if self._rows and time < self._rows[-1][0]:
-            self.begin()
-        if self._rows and time == self._rows[-1][0]:
+        if time == self._last:
             return
+        if time < self._last:
+            self.begin()
+        self._last = time
         if self._seen % self._every == 0:
             self._rows.append([time, *(values.get(name, np.nan) for name in self.names)])
         self._seen += 1
@@ -73,7 +75,7 @@ class WebPanel:
             for first in range(0, len(COMMANDS), BUTTONS):
                 self._buttons(player, COMMANDS[first : first + BUTTONS])
         choice = self.gui.add_dropdown("Colour", COLOURS, initial_value=colour)
-        choice.on_update(lambda _: server.later(lambda: setattr(self, "colour", choice.value)))
+        choice.on_update(self._choose)
         self.history = History(list(probes))
         self._plots = [(names, self._plot(names, unit)) for unit, names in _by_unit(probes)]
         self._due = 0.0
@@ -83,11 +85,24 @@ class WebPanel:
         """A row of buttons, and the keys that do the same."""
         acts: dict[str, Callable[[Player], None]] = {one.label: one.act for one in commands}
         row = self.gui.add_button_group("", tuple(acts))
-        row.on_click(lambda event: self.server.later(lambda: acts[event.target.value](player)))
+
+        # functions of asyncio are called one after the other, and others in any order
+        async def press(event: Any) -> None:
+            if event.target.value in acts:
+                self.server.later(partial(acts[event.target.value], player))
+
+        row.on_click(press)
         for one in commands:
             key = one.key.upper() if len(one.key) == 1 and one.key.isalpha() else KEYS.get(one.key)
             command = self.gui.add_command(one.label, description=one.words, hotkey=key)
-            command.on_trigger(lambda _, act=one.act: self.server.later(lambda: act(player)))
+            command.on_trigger(partial(self._trigger, partial(one.act, player)))
+
+    async def _trigger(self, act: Callable[[], None], _: Any) -> None:
+        self.server.later(act)
+
+    async def _choose(self, event: Any) -> None:
+        if event.target.value in COLOURS:
+            self.server.later(partial(setattr, self, "colour", event.target.value))
 
     def _plot(self, names: Sequence[str], unit: str) -> Any:
         series = [{"label": f"{name} [{unit}]" if unit else name, "stroke": tint} for name, tint in zip(names, TINTS)]

@@ -13,7 +13,7 @@ from taichi_sim.common.errors import BackendError
 
 __all__ = ["HOST", "PORT", "WebServer"]
 
-HOST, PORT = "127.0.0.1", 8080
+HOST, PORT, MOST_PORT = "127.0.0.1", 8080, 65535
 EVERYWHERE = ("0.0.0.0", "::", "")
 REFUSED = "taichi_sim: open the address that the program printed, with all that follows the port.\n"
 
@@ -23,7 +23,7 @@ class WebServer:
 
     host: of this machine's addresses the one to listen on; port: 0 for any that is free. It works in threads of its own: what
     they want done to a simulation, they put into `later`, and the thread of the simulation calls `work`. Raises BackendError
-    where viser is missing, OSError where the address cannot be had.
+    where viser is missing, OSError where the address cannot be had, ValueError for a port that there is not.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
@@ -81,17 +81,17 @@ def _viser() -> Any:
 
 def _listening(host: str, port: int) -> socket.socket:
     """A socket that listens there and nowhere else. Raises OSError in a sentence."""
+    if not 0 <= port <= MOST_PORT:
+        raise ValueError(f"port: {port} is not allowed; it must be from 0 to {MOST_PORT}")
     try:
         found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         return socket.create_server(found[0][4][:2], family=found[0][0])
-    except (OSError, OverflowError, UnicodeError) as error:
+    except (OSError, UnicodeError) as error:
         number = getattr(error, "errno", None)
         if number == errno.EADDRINUSE:
             says = f"port {port} is in use; choose another one with --port, or 0 for any that is free"
         elif number == errno.EACCES:
             says = f"port {port} is for the administrator alone; choose one above 1023 with --port"
-        elif isinstance(error, OverflowError):
-            says = f"port {port} is not allowed; it must be from 0 to 65535"
         else:
             says = f"{host!r} is no address of this machine; leave --host out, or give 0.0.0.0 for all of them"
         raise OSError(says) from None

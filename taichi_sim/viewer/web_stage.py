@@ -10,7 +10,8 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.parts import Parts, Surface, few_colours, in_3d, placed, wall_square
 from taichi_sim.render.camera import Camera, robust_bounds, triple
-from taichi_sim.render.colouring import COLOUR_SCALE, Colouring
+from taichi_sim.render.colouring import Colouring
+from taichi_sim.render.renderer2d import flat_view
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.viewer.overlay import PULL
 from taichi_sim.viewer.web_server import WebServer
@@ -25,9 +26,29 @@ MOST_BALLS, MOST_SPRINGS, MOST_TRIANGLES = 200_000, 100_000, 400_000  # more are
 ROUND = ((2_000, 2), (10_000, 1), (MOST_SPHERES, 0))  # so many spheres at most have triangles cut so often
 BANDS = 12  # colours of a surface that is coloured by a quantity
 SIZES = 8  # of points
+FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
+PICTURE = (1280, 720)  # px, that a page may have
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
+
+
+def _bytes(colour: NDArray) -> NDArray[np.uint8]:
+    return np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
+
+
+# the scale of colours in 256 steps (256, 3), and in BANDS
+SCALE = _bytes(Colouring.shades(256))
+BAND_COLOURS = Colouring.shades(BANDS)
+
+
+def _like_sizes(radius: NDArray) -> list[tuple[float, NDArray]]:
+    """At most SIZES radii, and which of all radii (n,) come close to each."""
+    if not len(radius):
+        return []
+    sizes = np.unique(np.quantile(radius, (np.arange(SIZES) + 0.5) / SIZES, method="nearest"))
+    kind = np.searchsorted((sizes[1:] + sizes[:-1]) / 2, radius)
+    return [(float(size), np.flatnonzero(kind == k)) for k, size in enumerate(sizes)]
 
 
 class WebStage:
@@ -45,6 +66,8 @@ class WebStage:
         self.notes: list[str] = []
         self._shown: dict[str, Any] = {}  # handles by their names
         self._kept: tuple[Any, Any] = (None, None)  # springs of a frame, and those that are shown
+        self._colourings = {colour: self._colouring(colour) for colour in COLOURS}
+        self._own = _bytes(self._parts.colour)
         self._look(first, style.get("camera"))
         self._choose()
         self._walls(first)
@@ -61,25 +84,25 @@ class WebStage:
         start = self.server.viser.initial_camera
         self.scene.set_up_direction("+y")
         if first.dim == 3:
-            seen = Tracker(first, camera, 16 / 9).first
+            seen = Tracker(first, camera, PICTURE[0] / PICTURE[1]).first
         else:
-            away = (0.0, 0.0, 0.6 * self._size / np.tan(np.radians(FLAT_FOV / 2)))
-            seen = Camera(triple(self._centre + away), triple(self._centre), fov=FLAT_FOV)
+            low, scale = flat_view([first], PICTURE)
+            middle = np.array([*(low + np.array(PICTURE) / 2 / scale), 0.0])
+            away = (0.0, 0.0, PICTURE[1] / 2 / scale / np.tan(np.radians(FLAT_FOV / 2)))
+            seen = Camera(triple(middle + away), triple(middle), fov=FLAT_FOV)
         start.up, start.fov = seen.up, float(np.radians(seen.fov))
         start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()
 
-    def _values(self, frame: Frame, colour: str) -> NDArray[np.float64] | None:
-        """Places of the balls on the scale of colours, or None where each object has its own."""
+    def _colouring(self, colour: str) -> Colouring | None:
         reach = self._style.get("colour_range") if colour == self._style.get("colour") else None
-        colouring = Colouring.of(self._first, colour, reach)
-        return None if colouring is None else colouring.values(frame)
+        return Colouring.of(self._first, colour, reach)
 
     # Choices, made once --------------------------------------------------------------------------------------------
 
     def _choose(self) -> None:
         parts = self._parts
         triangles = sum(len(faces) for faces in parts.triangles(self._first))
-        self._surfaces = list(enumerate(parts.surfaces))
+        self._surfaces = [(k, one, *few_colours(one.colour)) for k, one in enumerate(parts.surfaces)]
         loose = parts.loose
         if triangles > MOST_TRIANGLES:
             self.notes.append(f"surfaces are drawn as points: {triangles} triangles are too many")
@@ -90,6 +113,7 @@ class WebStage:
         self._cuts = next((cuts for most, cuts in ROUND if len(self._balls) <= most), None)
         if self._cuts is None and self._grip is not None:
             self.notes.append(f"more than {MOST_SPHERES} balls are drawn as points, which cannot be dragged")
+        self._sizes = _like_sizes(self._radius)
 
     def _thinned(self, name: str, items: NDArray, most: int) -> NDArray:
         """At most so many of them, evenly spread, which a note says."""
@@ -103,13 +127,20 @@ class WebStage:
 
     def show(self, frame: Frame, colour: str = "object", held: Any = None) -> None:
         """Put all pages to a frame. colour: one of COLOURS; held: places (dim,) [m] of a ball and of what it is drawn to."""
-        values = self._values(frame, colour)
-        tint = _bytes(self._parts.colour) if values is None else _scale()[np.rint(255 * values).astype(np.int64)]
+        colouring = self._colourings[colour]
+        values = None if colouring is None else colouring.values(frame)
+        tint = self._own if values is None else SCALE[np.rint(255 * values).astype(np.int64)]
         with self.server.viser.atomic():
             self._show_balls(frame, tint)
             faces = self._parts.triangles(frame)
-            for k, surface in self._surfaces:
-                self._show_surface(k, surface, frame, faces[k], values)
+            for k, surface, palette, kind in self._surfaces:
+                points = self._to_page(surface.points(in_3d(frame.position)))
+                if values is None:
+                    self._show_bands(f"surface{k}_own", surface, points, faces[k], palette, kind[faces[k][:, 0]])
+                else:
+                    places = np.einsum("vk,vk->v", surface.weights, values[surface.corners])[faces[k]].mean(axis=1)
+                    band = np.minimum((BANDS * places).astype(np.int64), BANDS - 1)
+                    self._show_bands(f"surface{k}_band", surface, points, faces[k], BAND_COLOURS, band)
             self._show_springs(frame, tint)
             for k, (centre, rotation) in enumerate(placed(frame)):
                 self._show_body(k, centre, rotation)
@@ -131,15 +162,12 @@ class WebStage:
                 "/balls", ball.vertices, ball.triangles, upright, at, batched_scales=self._radius, batched_colors=tint,
                 lod="off", cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
-            self._let_drag(self._shown["balls"], lambda frame, event: int(balls[event.instance_index]))
+            self._let_drag(self._shown["balls"], lambda frame, event: int(balls[event.instance_index or 0]))
 
     def _show_points(self, at: NDArray, tint: NDArray) -> None:
         """Balls as discs, those of like sizes together."""
-        sizes = np.quantile(self._radius, (np.arange(SIZES) + 0.5) / SIZES, method="nearest")
-        sizes = np.unique(sizes)
-        kind = np.abs(self._radius[:, None] - sizes).argmin(axis=1)
-        for k, size in enumerate(sizes.tolist()):
-            name, mine = f"points{k}", kind == k
+        for k, (size, mine) in enumerate(self._sizes):
+            name = f"points{k}"
             if name in self._shown:
                 self._shown[name].points, self._shown[name].colors = at[mine], tint[mine]
             else:
@@ -147,26 +175,17 @@ class WebStage:
                     f"/{name}", at[mine], tint[mine], point_size=size, point_shape="circle", precision="float32"
                 )
 
-    def _show_surface(
-        self, k: int, surface: Surface, frame: Frame, faces: NDArray, values: NDArray[np.float64] | None
+    def _show_bands(
+        self, name: str, surface: Surface, points: NDArray, faces: NDArray, palette: NDArray, kind: NDArray
     ) -> None:
-        """Draw a surface as one mesh for each colour: meshes of viser have one."""
-        points = self._to_page(surface.points(in_3d(frame.position)))
-        if values is None:
-            palette, kind = few_colours(surface.colour)
-            kind, word = kind[faces[:, 0]], "colour"
-        else:
-            places = np.einsum("vk,vk->v", surface.weights, values[surface.corners])[faces].mean(axis=1)
-            kind, word = np.minimum((BANDS * places).astype(np.int64), BANDS - 1), "band"
-            palette = _scale()[((np.arange(BANDS) + 0.5) * 256 / BANDS).astype(np.int64)] / 255
+        """Draw a surface as one mesh for each colour: meshes of viser have one. kind (t,): which of the palette each face has."""
         there = set()
-        for b in np.unique(kind).tolist():
-            name = f"surface{k}_{word}{b}"
-            there.add(name)
-            self._show_mesh(name, points, faces[kind == b], palette[b], surface)
-        for name, handle in self._shown.items():
-            if name.startswith(f"surface{k}_"):
-                handle.visible = name in there
+        for k in np.flatnonzero(np.bincount(kind)).tolist():
+            there.add(f"{name}{k}")
+            self._show_mesh(f"{name}{k}", points, faces[kind == k], palette[k], surface)
+        for other, handle in self._shown.items():
+            if other.startswith(name.partition("_")[0] + "_"):
+                handle.visible = other in there
 
     def _show_mesh(self, name: str, points: NDArray, faces: NDArray, colour: NDArray, surface: Surface) -> None:
         used = np.zeros(len(points), dtype=bool)
@@ -249,23 +268,16 @@ class WebStage:
                 )
 
     def _let_drag(self, handle: Any, ball: Any) -> None:
-        """Give drags of a part of the scene to `grip`. ball: which one, of the present frame and viser's event."""
-        grip = self._grip
+        """Give drags of a part of the scene to `grip`. ball: which one, of the present frame and viser's event. A page may say
+        anything, so what it says is looked at."""
+        grip, number = self._grip, max(1, len(self._balls))
         if grip is None:
             return
 
         async def drag(event: Any) -> None:
-            to = self._to_scene(event.end_position)
-            self.server.later(lambda: grip(event.phase, event.client_id, lambda frame: ball(frame, event), to))
+            places = event.start_position, event.end_position
+            if (np.abs(places) < FARTHEST).all() and 0 <= (event.instance_index or 0) < number:
+                to = self._to_scene(event.end_position)
+                self.server.later(lambda: grip(event.phase, event.client_id, lambda frame: ball(frame, event), to))
 
         handle.on_drag("left")(drag)
-
-
-def _bytes(colour: NDArray) -> NDArray[np.uint8]:
-    return np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
-
-
-def _scale() -> NDArray[np.uint8]:
-    """The scale of colours in 256 steps, (256, 3) sRGB."""
-    place = np.linspace(0.0, len(COLOUR_SCALE) - 1.0, 256)
-    return _bytes(np.stack([np.interp(place, np.arange(len(COLOUR_SCALE)), one) for one in COLOUR_SCALE.T], axis=1))
