@@ -1,4 +1,4 @@
-"""What pages show of frames: balls, surfaces, springs, colliders and walls, as parts of a viser scene."""
+"""Frames on pages: balls, surfaces, springs, colliders and walls, as parts of a viser scene."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
-from taichi_sim.outputs.parts import Parts, Surface, few_colours, in_3d, placed, wall_square
+from taichi_sim.outputs.parts import Parts, Surface, in_3d, placed, wall_square
 from taichi_sim.render.camera import Camera, robust_bounds, triple
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.renderer2d import flat_view
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.viewer.overlay import PULL
 from taichi_sim.viewer.web_server import WebServer
+from taichi_sim.viewer.web_surface import WebSurface, to_bytes
 
 __all__ = ["COLOURS", "WebStage"]
 
@@ -23,23 +24,14 @@ Grip = Callable[[str, int, Any, NDArray], None]  # phase of a drag, page, a func
 COLOURS = ("object", "speed", "strain")
 MOST_SPHERES = 50_000  # loose balls from which on they are drawn as points, which cannot be dragged
 MOST_BALLS, MOST_SPRINGS, MOST_TRIANGLES = 200_000, 100_000, 400_000  # more are thinned
-ROUND = ((2_000, 2), (10_000, 1), (MOST_SPHERES, 0))  # so many spheres at most have triangles cut so often
-BANDS = 12  # colours of a surface that is coloured by a quantity
+ROUND = ((500, 2), (20_000, 1), (MOST_SPHERES, 0))  # so many spheres at most have triangles cut so often
+SCALE = to_bytes(Colouring.shades(256))  # of colours, sRGB
 SIZES = 8  # of points
 FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
 PICTURE = (1280, 720)  # px, that a page may have
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
-
-
-def _bytes(colour: NDArray) -> NDArray[np.uint8]:
-    return np.rint(255 * np.clip(colour, 0.0, 1.0)).astype(np.uint8)
-
-
-# the scale of colours in 256 steps (256, 3), and in BANDS
-SCALE = _bytes(Colouring.shades(256))
-BAND_COLOURS = Colouring.shades(BANDS)
 
 
 def _like_sizes(radius: NDArray) -> list[tuple[float, NDArray]]:
@@ -54,8 +46,8 @@ def _like_sizes(radius: NDArray) -> list[tuple[float, NDArray]]:
 class WebStage:
     """The scene of all pages of a server, made from the first frame; `show` puts it to another one.
 
-    Pages have the unit of the scene's size, and its middle as the origin: a scene may be of any size, and anywhere. camera: as
-    that of a `Renderer`; grip: called when a ball is dragged, None: nothing can be dragged; notes: what is not shown, in words.
+    Pages have the unit of the size of the scene, and its middle as origin: it may be of any size, and anywhere. style: arguments
+    of a `Renderer`; grip: called when a ball is dragged, None: nothing can be dragged; notes: what is not shown, in words.
     """
 
     def __init__(self, server: WebServer, first: Frame, style: Mapping[str, Any], grip: Grip | None = None) -> None:
@@ -67,7 +59,7 @@ class WebStage:
         self._shown: dict[str, Any] = {}  # handles by their names
         self._kept: tuple[Any, Any] = (None, None)  # springs of a frame, and those that are shown
         self._colourings = {colour: self._colouring(colour) for colour in COLOURS}
-        self._own = _bytes(self._parts.colour)
+        self._own = to_bytes(self._parts.colour)
         self._look(first, style.get("camera"))
         self._choose()
         self._walls(first)
@@ -102,7 +94,7 @@ class WebStage:
     def _choose(self) -> None:
         parts = self._parts
         triangles = sum(len(faces) for faces in parts.triangles(self._first))
-        self._surfaces = [(k, one, *few_colours(one.colour)) for k, one in enumerate(parts.surfaces)]
+        self._surfaces = [self._surface(k, one) for k, one in enumerate(parts.surfaces)]
         loose = parts.loose
         if triangles > MOST_TRIANGLES:
             self.notes.append(f"surfaces are drawn as points: {triangles} triangles are too many")
@@ -114,6 +106,17 @@ class WebStage:
         if self._cuts is None and self._grip is not None:
             self.notes.append(f"more than {MOST_SPHERES} balls are drawn as points, which cannot be dragged")
         self._sizes = _like_sizes(self._radius)
+
+    def _surface(self, k: int, surface: Surface) -> WebSurface:
+        corners = np.unique(surface.corners)
+
+        def nearest(frame: Frame, event: Any) -> int:
+            away = frame.position[corners] - self._to_scene(event.start_position)
+            return int(corners[np.einsum("ni,ni->n", away, away).argmin()])
+
+        return WebSurface(
+            f"/surface{k}", surface, self.scene.add_mesh_simple, lambda mesh: self._let_drag(mesh, nearest)
+        )
 
     def _thinned(self, name: str, items: NDArray, most: int) -> NDArray:
         """At most so many of them, evenly spread, which a note says."""
@@ -133,14 +136,8 @@ class WebStage:
         with self.server.viser.atomic():
             self._show_balls(frame, tint)
             faces = self._parts.triangles(frame)
-            for k, surface, palette, kind in self._surfaces:
-                points = self._to_page(surface.points(in_3d(frame.position)))
-                if values is None:
-                    self._show_bands(f"surface{k}_own", surface, points, faces[k], palette, kind[faces[k][:, 0]])
-                else:
-                    places = np.einsum("vk,vk->v", surface.weights, values[surface.corners])[faces[k]].mean(axis=1)
-                    band = np.minimum((BANDS * places).astype(np.int64), BANDS - 1)
-                    self._show_bands(f"surface{k}_band", surface, points, faces[k], BAND_COLOURS, band)
+            for k, one in enumerate(self._surfaces):
+                one.show(self._to_page(one.surface.points(in_3d(frame.position))), faces[k], values)
             self._show_springs(frame, tint)
             for k, (centre, rotation) in enumerate(placed(frame)):
                 self._show_body(k, centre, rotation)
@@ -175,42 +172,6 @@ class WebStage:
                     f"/{name}", at[mine], tint[mine], point_size=size, point_shape="circle", precision="float32"
                 )
 
-    def _show_bands(
-        self, name: str, surface: Surface, points: NDArray, faces: NDArray, palette: NDArray, kind: NDArray
-    ) -> None:
-        """Draw a surface as one mesh for each colour: meshes of viser have one. kind (t,): which of the palette each face has."""
-        there = set()
-        for k in np.flatnonzero(np.bincount(kind)).tolist():
-            there.add(f"{name}{k}")
-            self._show_mesh(f"{name}{k}", points, faces[kind == k], palette[k], surface)
-        for other, handle in self._shown.items():
-            if other.startswith(name.partition("_")[0] + "_"):
-                handle.visible = other in there
-
-    def _show_mesh(self, name: str, points: NDArray, faces: NDArray, colour: NDArray, surface: Surface) -> None:
-        used = np.zeros(len(points), dtype=bool)
-        used[faces] = True
-        faces = (np.cumsum(used) - 1)[faces]
-        if name in self._shown:
-            self._shown[name].vertices, self._shown[name].faces = points[used], faces.astype(np.uint32)
-            return
-        self._shown[name] = self.scene.add_mesh_simple(
-            f"/{name}",
-            points[used],
-            faces,
-            color=_bytes(colour),
-            side="double",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
-        corners = np.unique(surface.corners)
-
-        def nearest(frame: Frame, event: Any) -> int:
-            away = frame.position[corners] - self._to_scene(event.start_position)
-            return int(corners[np.einsum("ni,ni->n", away, away).argmin()])
-
-        self._let_drag(self._shown[name], nearest)
-
     def _show_springs(self, frame: Frame, tint: NDArray[np.uint8]) -> None:
         if self._kept[0] is not frame.springs:
             pairs, _ = self._parts.springs(frame)
@@ -232,7 +193,7 @@ class WebStage:
         if name not in self._shown:
             is_hollow = self._first.colliders[k].collider.hollow > 0
             self._shown[name] = self.scene.add_mesh_simple(
-                f"/{name}", body.vertices / self._size, body.triangles, color=_bytes(np.array(body.colour)),
+                f"/{name}", body.vertices / self._size, body.triangles, color=to_bytes(np.array(body.colour)),
                 side="back" if is_hollow and self._first.dim == 3 else "double", cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
         x, y, z, w = Rotation.from_matrix(rotation).as_quat()
@@ -259,12 +220,12 @@ class WebStage:
             if first.dim == 3:
                 faces = np.array([[0, 1, 2], [0, 2, 3]])
                 self.scene.add_mesh_simple(
-                    name, self._to_page(corners), faces, color=_bytes(np.array(WALL)), side="front", cast_shadow=False
+                    name, self._to_page(corners), faces, color=to_bytes(np.array(WALL)), side="front", cast_shadow=False
                 )
             else:
                 ends = self._to_page(corners[:2] * [1.0, 1.0, 0.0])[None]
                 self.scene.add_line_segments(
-                    name, ends, _bytes(0.7 * np.array(WALL)), thickness=3.0, thickness_units="screen"
+                    name, ends, to_bytes(0.7 * np.array(WALL)), thickness=3.0, thickness_units="screen"
                 )
 
     def _let_drag(self, handle: Any, ball: Any) -> None:

@@ -33,7 +33,7 @@ HELP = (
     ("h", "this list; nothing; the figures"),
     ("esc", "quit"),
 )
-USE = "use `taichi-sim run SCENE -o x.mp4` instead"
+USE = "use `taichi-sim view SCENE --web` or `taichi-sim run SCENE -o x.mp4` instead"
 FIGURES, KEYS, NOTHING = range(3)  # what the overlay shows; h goes through them
 SLOW_PICTURE = 0.05  # s: where a picture takes longer, what moves is drawn less fine
 COARSEST = 3  # times less wide and high than the window

@@ -26,12 +26,13 @@ CAMERA |= {
 
 
 class Page:
-    """A connection to `url`. It keeps the last value of each property by the name of its part, and counts; slow: seconds that
-    it waits before it reads on."""
+    """A connection to `url`. It keeps the last value of each property by the name of its part, and counts bytes; slow: seconds
+    that it waits before it reads on."""
 
     def __init__(self, url: str, slow: float = 0.0) -> None:
         self.parts: dict[str, dict[str, Any]] = {}
-        self.heard, self.bytes, self.slow = 0, 0, slow
+        self.said: list[dict[str, Any]] = []  # messages for whoever looks at it
+        self.bytes, self.slow = 0, slow
         address = url.replace("http://", "ws://").rstrip("/")
         self.socket = connect(address, subprotocols=[f"viser-v{version}"], max_size=None, compression=None)
         self.say("ViewerCameraMessage", **CAMERA)
@@ -53,7 +54,8 @@ class Page:
         size = int.from_bytes(message[8:16], "little")
         whole = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(message[16 : 16 + size]))
         for one in whole["messages"]:
-            self.heard += 1
+            if one["type"] == "NotificationShowMessage":
+                self.said.append(one["props"])
             name = one.get("name") or one.get("uuid")
             if name is None:
                 continue
