@@ -12,7 +12,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.forces.pointer import MOST_RATE_STEP, POINTER_RATE, Pointer
 from taichi_sim.viewer.pace import Pace
 
-__all__ = ["COMMANDS", "Command", "Player"]
+__all__ = ["COMMANDS", "Command", "Player", "Rows"]
 
 MESSAGE_TIME = 3.0  # s that a message stays
 

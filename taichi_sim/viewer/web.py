@@ -61,7 +61,7 @@ class LiveView:
         self._server.work()
         assert self._stage is not None
         self._stage.show(frame, self._panel.colour)
-        self._panel.show(frame.time, frame.probes, lambda: self._rows(frame, begin), self._stage.notes)
+        self._panel.show(frame.time, frame.probes, lambda: self._rows(frame, begin))
         self._share.spent(begin, time.perf_counter())
 
     def _open(self, first: Frame, now: float) -> None:
@@ -74,7 +74,9 @@ class LiveView:
     def _rows(self, frame: Frame, now: float) -> Rows:
         spent = now - self._begin
         speed = (("speed", f"{frame.time / spent:.2g} x real time"),) if spent > 0 else ()
-        return (("time", f"{frame.time:.3f} s"), *speed, ("balls", f"{len(frame.position):,}".replace(",", " ")))
+        balls = ("balls", f"{len(frame.position):,}".replace(",", " "))
+        assert self._stage is not None
+        return (("time", f"{frame.time:.3f} s"), *speed, balls, *self._stage.legend(self._panel.colour))
 
     def _repr_html_(self) -> str:
         """The page, in a frame."""
@@ -175,7 +177,10 @@ class _Browsers:
             self.stage.show(*state)
             self.shown = state
         probes = player.simulation.probes() if self.probes else {}
-        self.panel.show(player.frame.time, probes, player.figures, self.stage.notes)
+        self.panel.show(player.frame.time, probes, self._rows)
+
+    def _rows(self) -> Rows:
+        return (*self.player.figures(), *self.stage.legend(self.panel.colour))
 
     def _drag(self, phase: str, page: int, ball: Any, to: Any) -> None:
         """Follow a drag of a page, the first of those that drag at one time."""

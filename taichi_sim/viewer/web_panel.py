@@ -111,13 +111,13 @@ class WebPanel:
             empty, ({"label": "t [s]"}, *series), scales={"x": {"time": False}}, legend={"live": False}, height=180
         )
 
-    def show(self, time_: float, probes: Mapping[str, float], rows: Callable[[], Rows], notes: Sequence[str]) -> None:
+    def show(self, time_: float, probes: Mapping[str, float], rows: Callable[[], Rows]) -> None:
         """Show figures and what probes say at a moment [s]; both a few times a second at most."""
         self.history.add(time_, probes)
         if time.perf_counter() < self._due:
             return
         self._due = time.perf_counter() + REFRESH
-        said = (*rows(), *(("", note) for note in notes))
+        said = rows()
         if said == self._shown:
             return
         self._shown = said

@@ -9,11 +9,13 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.parts import Parts, Surface, in_3d, placed, wall_square
+from taichi_sim.overlays.legend import UNITS
 from taichi_sim.render.camera import Camera, robust_bounds, triple
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.renderer2d import flat_view
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.viewer.overlay import PULL
+from taichi_sim.viewer.player import Rows
 from taichi_sim.viewer.web_server import WebServer
 from taichi_sim.viewer.web_surface import WebSurface, to_bytes
 
@@ -88,6 +90,12 @@ class WebStage:
     def _colouring(self, colour: str) -> Colouring | None:
         reach = self._style.get("colour_range") if colour == self._style.get("colour") else None
         return Colouring.of(self._first, colour, reach)
+
+    def legend(self, colour: str) -> Rows:
+        """Words on the scale of colours, where there is one, and the notes."""
+        scale = self._colourings[colour]
+        words = [] if scale is None else [f"dark {scale.low:.3g} to light {scale.high:.3g} {UNITS[colour]}".rstrip()]
+        return (*((colour, one) for one in words), *(("", note) for note in self.notes))
 
     # Choices, made once --------------------------------------------------------------------------------------------
 

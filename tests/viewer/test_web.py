@@ -177,7 +177,9 @@ def test_all_that_a_scene_holds_is_shown_and_moves():
         assert kinds["/balls"] == "BatchedMeshesMessage"
         assert kinds["/springs"] == "LineSegmentsMessage"
         assert {kinds[name] for name in ("/surface0_own0", "/collider0", "/wall0")} == {"MeshMessage"}
-        assert stage.notes == []
+        assert stage.legend("object") == ()
+        assert stage.legend("strain") == (("strain", "dark 0 to light 0.1"),)
+        assert stage.legend("speed")[0][1].endswith(" m/s")
         stage.show(sheet(9, 0.5), "speed")
         page.until(lambda: sum(name.startswith("/surface0_band") for name in page.parts) > 6)  # 0 to 3 m/s along it
         stage.show(sheet(9, 0.7), "object", (np.zeros(3), np.ones(3)))
@@ -477,7 +479,7 @@ def test_a_browser_draws_it_without_an_error(tmp_path):
         from taichi_sim.viewer.web_panel import WebPanel
 
         panel = WebPanel(server, "sheet <b>", {"a.x": "m", "a.y": "m"}, "object")
-        panel.show(0.0, {"a.x": 1.0, "a.y": 2.0}, lambda: (("time", "0.000 s"),), ["1 of 5 <balls> is drawn"])
+        panel.show(0.0, {"a.x": 1.0, "a.y": 2.0}, lambda: (("time", "0.000 s"), ("", "1 of 5 <balls> is drawn")))
         pages = [browser.new_page(viewport={"width": 640, "height": 360}) for _ in range(2)]
         for page in pages:
             page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
