@@ -1,6 +1,7 @@
 """Pages on which a simulation is watched: who is admitted, what is shown, what can be done, and what it costs a run."""
 
 import importlib
+import importlib.util
 import re
 import signal
 import socket
