@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from taichi_sim.simulation.simulation import Simulation
     from taichi_sim.sweeps.fit import fit
     from taichi_sim.sweeps.sweep import sweep
+    from taichi_sim.viewer.web import LiveView
 
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")  # Taichi announces itself on standard output
 
@@ -49,6 +50,7 @@ __all__ = [
     "Element",
     "Frame",
     "Integrator",
+    "LiveView",
     "Mesh",
     "Method",
     "Output",
@@ -82,6 +84,7 @@ _MODULES = {
     "Element": "taichi_sim.forces.element",
     "Frame": "taichi_sim.analysis.frame",
     "Integrator": "taichi_sim.integrators",
+    "LiveView": "taichi_sim.viewer.web",
     "Mesh": "taichi_sim.scene.colliders",
     "Method": "taichi_sim.analysis.methods",
     "Output": "taichi_sim.outputs",

@@ -21,6 +21,7 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 PAGES = {page.relative_to(DOCS).as_posix(): page.read_text(encoding="utf-8") for page in sorted(DOCS.rglob("*.md"))}
 SHOWN_BY = {  # pages with Python, and the test that runs it
+    "web.md": "viewer/test_web.py",
     "extending.md": "test_extending.py",
     "files.md": "outputs/test_interchange.py",
     "python.md": "test_readme.py",

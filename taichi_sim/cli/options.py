@@ -45,6 +45,14 @@ SHARED: dict[str, Any] = {
             " or an argument of scene() of a Python file. May be given several times.",
         ),
     ],
+    "host": Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Of this machine, that pages are served on; 127.0.0.1 otherwise, 0.0.0.0: all of them.",
+        ),
+    ],
+    "port": Annotated[int | None, typer.Option(help="That pages are served on; 8080 otherwise, 0: any that is free.")],
     "quantity": Annotated[
         str | None, typer.Option(help="What errors are of: a probe's number, like load.tension; positions otherwise.")
     ],

@@ -1,6 +1,7 @@
 """run, render, view: scenes into pictures, files or a window."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,13 +25,14 @@ from taichi_sim.cli.options import interval, keys_and_values, pixels, positive
 from taichi_sim.common.errors import UnstableError
 from taichi_sim.common.progress import waiting
 
+PAGES = ("host", "port")  # options of those that are served
 NAMES = (
     "x.mp4, x.webm, x.gif or x.webp; folder/ for PNG frames; x.npz arrays; x.usdc or x.usda for Blender and others;"
     " x.glb for browsers and others; x.pvd for ParaView; x.gsd for OVITO; x.csv energies and probes; x.ply or x.obj meshes"
 )
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside", *PAGES)
 def run(
     scene: SceneName,
     out: Annotated[
@@ -62,6 +64,9 @@ def run(
             "error", "Run SCENE a second time at half the step, and give results with the error of step and rounding."
         ),
     ] = False,
+    watch: Annotated[
+        bool, flag("watch", "Show the run in a browser, here or elsewhere, while it goes on; needs the extra web.")
+    ] = False,
     quiet: Quiet = False,
     **options: Any,
 ) -> None:
@@ -70,6 +75,7 @@ def run(
     from taichi_sim.analysis.outcome import MESH
     from taichi_sim.outputs import export, open_outputs
 
+    page = _page(options, "--watch", watch)
     job = Job(scene, options)
     if round(job.output["fps"] * job.output["duration"]) < 1:
         raise ValueError("fps times duration is less than one frame; raise one of them")
@@ -79,8 +85,10 @@ def run(
     if error and resume:
         raise ValueError("--error: the error of a run that is resumed cannot be estimated; leave --resume out")
     if workers is not None or scheduler is not None:
-        if not out or resume or checkpoint or error:
-            raise ValueError("--workers and --scheduler need --out, and exclude --resume, --checkpoint and --error")
+        if not out or resume or checkpoint or error or watch:
+            raise ValueError(
+                "--workers and --scheduler need --out, and exclude --resume, --checkpoint, --error and --watch"
+            )
         _drawn_apart(job, out, (scheduler, workers), overwrite, codec, quiet)
         return
     names = out or []
@@ -92,10 +100,17 @@ def run(
     if not targets and (overwrite or resume or codec or transparent or checkpoint):
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
-        with waiting("reading the scene", not quiet):
-            sim = job.simulation()
-        with sim:
-            summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, **job.output)
+        with ExitStack() as stack:
+            see = None
+            if watch:
+                from taichi_sim.viewer.web import LiveView
+
+                view = stack.enter_context(LiveView(**page, title=job.file.stem, style=job.output["style"]))
+                echo(f"open         {view.url}")
+                see = view.show
+            with waiting("reading the scene", not quiet):
+                sim = stack.enter_context(job.simulation())
+            summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, watch=see, **job.output)
     except BaseException as ended:
         for name, target in zip(names, targets):
             if isinstance(ended, UnstableError) and target.frames:
@@ -251,14 +266,37 @@ def render(
         echo("\n".join(f"written      {name}: {_frames(count)}" for name in out))
 
 
-@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside")
-def view(scene: SceneName, quiet: Quiet = False, **options: Any) -> None:
+@subcommand("size", *SIMULATION, "fps", "duration", "threads", "set", "allow_outside", *PAGES)
+def view(
+    scene: SceneName,
+    web: Annotated[
+        bool, flag("web", "In a browser, here or elsewhere, instead of a window; needs the extra web.")
+    ] = False,
+    quiet: Quiet = False,
+    **options: Any,
+) -> None:
     """Show SCENE live: drag balls, turn and zoom the view with the mouse; space pauses, h lists the keys, esc quits."""
-    from taichi_sim.viewer.window import require_display, show
+    page = _page(options, "--web", web)
+    if not web:
+        from taichi_sim.viewer.window import require_display
 
-    require_display()
+        require_display()
     job = Job(scene, options)
-    output = {key: job.output[key] for key in ("fps", "size", "style")}
-    for key in ("transparent", "overlay"):
-        output["style"].pop(key, None)
-    show(job.simulation, **output, until=options["duration"], say=say_nothing if quiet else echo)
+    style = {key: value for key, value in job.output["style"].items() if key not in ("transparent", "overlay")}
+    shown = {"fps": job.output["fps"], "style": style, "until": options["duration"]}
+    if web:
+        from taichi_sim.viewer import web as browser
+
+        browser.show(job.simulation, **shown, **page, title=job.file.stem, say=echo)
+        return
+    from taichi_sim.viewer import window
+
+    window.show(job.simulation, **shown, size=job.output["size"], say=say_nothing if quiet else echo)
+
+
+def _page(options: dict[str, Any], option: str, is_wanted: bool) -> dict[str, Any]:
+    """The options of PAGES that were given. Raises ValueError where there are to be no pages."""
+    given = {key: value for key in PAGES if (value := options.pop(key)) is not None}
+    if given and not is_wanted:
+        raise ValueError(f"--{next(iter(given))} needs {option}")
+    return given

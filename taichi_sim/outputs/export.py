@@ -366,6 +366,7 @@ def export(
     style: Mapping[str, Any] | None = None,
     checkpoint: float | Literal["auto"] | None = "auto",
     error: bool = False,
+    watch: Callable[[Frame], None] | None = None,
 ) -> Summary:
     """Run a simulation and give its frames to an output, to each of several, or to none for the summary alone.
 
@@ -377,6 +378,7 @@ def export(
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
         error: run the scene a second time at half the step, and give what is read with the error of step and rounding.
+        watch: called with each frame that is simulated, like `LiveView.show`.
     Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
@@ -444,7 +446,7 @@ def export(
                     writer.replay(begin)
             clock.charge("writing")
         frame, since = None, simulation.time
-        frames = _observed(simulation, frames, summary, clock, companion)
+        frames = _observed(simulation, frames, summary, clock, companion, watch)
         bar.phase(expected.words, "frames simulated" if drawn_last else "frames")
 
         def write(index: int, frame: Frame, image: Image | None, wanting: Sequence[_Writer]) -> None:
@@ -586,7 +588,12 @@ def _recall(last: Checkpoint, renderer: Any) -> Summary:
 
 
 def _observed(
-    simulation: Any, frames: Iterator[Frame], summary: Summary, clock: _Clock, companion: Companion | None
+    simulation: Any,
+    frames: Iterator[Frame],
+    summary: Summary,
+    clock: _Clock,
+    companion: Companion | None,
+    watch: Callable[[Frame], None] | None,
 ) -> Iterator[Frame]:
     """Frames with what the simulation says of contacts and probes at each, which the summary takes note of."""
     for frame in frames:
@@ -603,6 +610,10 @@ def _observed(
             summary.late = max(summary.late, (late, h))
         if companion is not None:
             companion.note(frame)
+        if watch is not None:
+            clock.charge("simulating")
+            watch(frame)
+            clock.charge("writing")
         yield frame
 
 

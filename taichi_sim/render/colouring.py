@@ -84,11 +84,15 @@ class Colouring:
         return np.clip((value - self.low) / (self.high - self.low), 0.0, 1.0)
 
     @staticmethod
+    def shades(number: int) -> NDArray[np.float64]:
+        """So many sRGB colours (number, 3) along the scale, evenly spread."""
+        place = np.linspace(0.0, len(COLOUR_SCALE) - 1.0, number)
+        return np.stack([np.interp(place, np.arange(len(COLOUR_SCALE)), COLOUR_SCALE[:, k]) for k in range(3)], axis=1)
+
+    @staticmethod
     def table() -> NDArray[np.float32]:
         """Linear colours (TABLE_ENTRIES, 3) along the scale."""
-        place = np.linspace(0.0, len(COLOUR_SCALE) - 1.0, TABLE_ENTRIES)
-        srgb = np.stack([np.interp(place, np.arange(len(COLOUR_SCALE)), COLOUR_SCALE[:, k]) for k in range(3)], axis=1)
-        return to_linear(srgb).astype(np.float32)
+        return to_linear(Colouring.shades(TABLE_ENTRIES)).astype(np.float32)
 
 
 def _usual_speed(frame: Frame) -> float:

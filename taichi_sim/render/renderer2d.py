@@ -25,7 +25,7 @@ from taichi_sim.render.tracker import Follower
 from taichi_sim.scene.camera_path import CameraPath
 from taichi_sim.scene.colliders import CUSTOM
 
-__all__ = ["Renderer2D"]
+__all__ = ["Renderer2D", "flat_view"]
 
 COMPRESSED_COLOUR, NEUTRAL_COLOUR, STRETCHED_COLOUR = (
     (0.13, 0.40, 0.67),
@@ -120,7 +120,7 @@ class Renderer2D:
     def fit(self, frames: Sequence[Frame]) -> None:
         """See `Renderer`."""
         path, follower, half = self._path, self._follower, np.array(self.size) / 2
-        low, scale = _view(frames, self.size)
+        low, scale = flat_view(frames, self.size)
         shown = low + half / scale
         middle = shown if follower is None else follower.begin
         middle = middle if path.centre is None else np.array(path.centre)
@@ -283,7 +283,7 @@ def _covered(frame: Frame, bounds: Bounds) -> tuple[NDArray, NDArray]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _view(frames: Sequence[Frame], size: tuple[int, int]) -> tuple[NDArray, float]:
+def flat_view(frames: Sequence[Frame], size: tuple[int, int]) -> tuple[NDArray, float]:
     """Lower left corner (m) and px per metre that show frames: balls but far-flung ones, and near walls."""
     lows, highs, shown, sizes = zip(*map(_content, frames))
     low, high = np.min(lows, axis=0), np.max(highs, axis=0)

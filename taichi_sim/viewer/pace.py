@@ -1,4 +1,4 @@
-"""Pace: how many steps to make between two pictures of a live window. Plain numbers; no clock."""
+"""Pace: how many steps to make between two pictures of a live view, and how often to make one. Plain numbers; no clock."""
 
 BUDGET = 0.05  # s of work between two pictures, so that a heavy scene still answers the mouse
 STALL = 0.25  # s: longer waits are not caught up with
@@ -53,3 +53,22 @@ class Pace:
     def rate(self) -> float:
         """Pictures per second; 0 before the second one."""
         return self._known / self._wall if self._wall > 0 else 0.0
+
+
+class Share:
+    """Tells when pictures for others are due, so that making them takes no more than a part of the time.
+
+    fps: most pictures per second; part: of the time, in 0..1.
+    """
+
+    def __init__(self, fps: float, part: float) -> None:
+        self._least, self._rest = 1.0 / fps, 1.0 / part
+        self._next = 0.0
+
+    def due(self, now: float) -> bool:
+        """True if another picture may be made at `now` [s]."""
+        return now >= self._next
+
+    def spent(self, begin: float, end: float) -> None:
+        """Note that one took from `begin` to `end` [s]."""
+        self._next = begin + max(self._least, (end - begin) * self._rest)

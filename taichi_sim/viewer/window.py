@@ -1,7 +1,6 @@
 """A live window through ti.GUI, which needs a display but no OpenGL and no Vulkan."""
 
 import ctypes
-import math
 import os
 import sys
 import time
@@ -15,11 +14,11 @@ from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.signals import heard
 from taichi_sim.device.compiling import Expected, watched
-from taichi_sim.forces.pointer import MOST_RATE_STEP, POINTER_RATE, Pointer
+from taichi_sim.forces.pointer import Pointer
 from taichi_sim.outputs.base import Image
 from taichi_sim.viewer import overlay
 from taichi_sim.viewer.orbit import pick, view_of
-from taichi_sim.viewer.pace import Pace
+from taichi_sim.viewer.player import COMMANDS, Player
 from taichi_sim.viewer.recording import Recording, free_name
 
 TITLE = "taichi_sim (h: help)"
@@ -28,19 +27,14 @@ HELP = (
     ("drag elsewhere", "turn the view; in 2D move it"),
     ("right drag, shift + drag", "move the view"),
     ("wheel, + and -", "nearer, farther"),
-    ("space", "pause, go on"),
-    ("s", "one time step"),
-    ("right arrow", "one picture further"),
-    ("r", "back to the start"),
-    ("[ and ]", "half and twice the speed"),
+    *((one.key, one.words) for one in COMMANDS),
     ("p", "save a picture"),
     ("v", "record a video, and stop"),
     ("h", "this list; nothing; the figures"),
     ("esc", "quit"),
 )
-USE = "use `taichi-sim run SCENE -o x.mp4` instead"
+USE = "use `taichi-sim view SCENE --web` or `taichi-sim run SCENE -o x.mp4` instead"
 FIGURES, KEYS, NOTHING = range(3)  # what the overlay shows; h goes through them
-MESSAGE_TIME = 3.0  # s that a message stays
 SHARP = {"shutter": 0.0, "aperture": 0.0}  # of pictures: a window has no time for means of many
 SLOW_PICTURE = 0.05  # s: where a picture takes longer, what moves is drawn less fine
 COARSEST = 3  # times less wide and high than the window
@@ -100,7 +94,7 @@ def show(
                 simulation.step(0)
             say_how_long()
             expected.spent()
-            window = _Window(screen, simulation, pointer, renderer, fps, until, say)
+            window = _Window(screen, Player(simulation, pointer, fps, until), renderer, say)
             stack.callback(window.close)
             window.run()
         except _ClosedError:
@@ -147,34 +141,22 @@ class _Screen:
 
 
 class _Window:
-    """The window of one simulation, its mouse and keys."""
+    """The window of one player, its mouse and keys."""
 
-    def __init__(
-        self,
-        screen: _Screen,
-        simulation: Any,
-        pointer: Pointer,
-        renderer: Any,
-        fps: float,
-        until: float | None,
-        say: Callable,
-    ) -> None:
-        self.simulation, self.renderer, self.fps, self.until, self.say = simulation, renderer, fps, until, say
-        self.pointer = pointer if pointer.ready else None
-        self.start = simulation.snapshot()
+    def __init__(self, screen: _Screen, player: Player, renderer: Any, say: Callable[[str], None]) -> None:
+        self.player, self.renderer, self.say = player, renderer, say
         width, height = self.size = screen.size
         self.gui, self.screen = screen.gui, screen.picture
+        names = {"space": self.gui.SPACE, "right arrow": self.gui.RIGHT}
+        self.commands = {names.get(one.key, one.key): one.act for one in COMMANDS}
         self.view = view_of(renderer.camera, self.size)
         self.moved = False  # by hand
-        self.pace = Pace()
-        self.open, self.paused, self.level = True, False, FIGURES
-        self.single = 0  # steps asked for by key
+        self.open, self.level = True, FIGURES
         self.mode = ""  # of a drag: "turn", "pan" or "pull"
         self.cursor = (0.0, 0.0)  # px
-        self.message, self.message_until = "", 0.0
         self.recording: Recording | None = None
-        self.frame = simulation.frame()
-        self.stale = True  # the picture is not that of the present frame and view
+        self.drawn: Any = None  # the frame of the picture
+        self.stale = True  # the picture is not that of the present view
         self.shown: Any = None
         self.picture: Image = np.zeros((height, width, 3), dtype=np.uint8)
         self.moving, self.coarse = 1, 1  # how coarse what moves is drawn, and the present picture
@@ -186,47 +168,13 @@ class _Window:
             self._listen()
             now = time.perf_counter()
             wall, last = (now - last if last else 0.0), now  # before the first picture no time passes
-            simulated = self._advance(wall)
-            self.pace.note(wall, simulated)
-            self._draw(wall, simulated)
+            self._draw(wall, self.player.advance(wall))
             self.gui.show()
-            time.sleep(max(0.0, last + 1.0 / self.fps - time.perf_counter()))
+            time.sleep(max(0.0, last + 1.0 / self.player.fps - time.perf_counter()))
 
     def close(self) -> None:
         """Finish a recording."""
         self._stop_recording()
-
-    # Time ----------------------------------------------------------------------------------------------------------
-
-    def _advance(self, wall: float) -> float:
-        """Simulate what is due after `wall` seconds; the seconds that were simulated."""
-        sim = self.simulation
-        due, self.single = self.single, 0
-        if not due and not self.paused:
-            due = self.pace.steps(wall, sim.dt)
-        due = int(min(due, self._left()))
-        if not due:
-            return 0.0
-        before, begin = sim.time, time.perf_counter()
-        sim.step(due)
-        self.pace.made(due, time.perf_counter() - begin)
-        self.frame, self.stale = sim.frame(), True
-        return float(sim.time - before)
-
-    def _left(self) -> float:
-        """Steps until the time that ends it."""
-        sim = self.simulation
-        return math.inf if self.until is None else max(0, round((self.until - sim.time) / sim.dt))
-
-    @property
-    def ended(self) -> bool:
-        """True if time has come to its end."""
-        return self._left() == 0
-
-    def _reset(self) -> None:
-        self._let_go()
-        self.simulation.resume(self.start)
-        self.frame, self.stale = self.simulation.frame(), True
 
     # Mouse and keys ------------------------------------------------------------------------------------------------
 
@@ -250,27 +198,25 @@ class _Window:
         if not self.mode or not (dx or dy):
             return
         self.stale = True
-        if self.mode == "pull" and self.pointer is not None:
-            self.pointer.move(self.view.point(self.cursor, self.depth) + self.hold)
+        if self.mode == "pull":
+            self.player.pull(self.view.point(self.cursor, self.depth))
         else:
             self.moved = True
             getattr(self.view, self.mode)(dx, dy)
 
     def _press(self, pan: bool) -> None:
         self._let_go()
-        ball = None if pan or self.pointer is None else pick(self.view, self.frame, self.cursor)
         self.mode = "pan" if pan else "turn"
-        if ball is not None and self.pointer is not None:
+        ball = None if pan or self.player.pointer is None else pick(self.view, self.player.frame, self.cursor)
+        if ball is None:
+            return
+        self.depth = float(self.view.see(self.player.frame.position[[ball]]).depth[0])
+        if self.player.grab(ball, self.view.point(self.cursor, self.depth)):
             self.mode = "pull"
-            sim = self.simulation
-            self.depth = float(self.view.see(self.frame.position[[ball]]).depth[0])
-            self.hold = self.frame.position[ball] - self.view.point(self.cursor, self.depth)  # where on it
-            self.pointer.rate = min(POINTER_RATE, MOST_RATE_STEP * sim.substeps / sim.dt)
-            self.pointer.grab(ball, self.frame.position[ball])
 
     def _let_go(self) -> None:
-        if self.mode == "pull" and self.pointer is not None:
-            self.pointer.release()
+        if self.mode == "pull":
+            self.player.let_go()
             self.stale = True
         self.mode = ""
 
@@ -279,17 +225,10 @@ class _Window:
         self.moved = self.stale = True
 
     def _key(self, key: str) -> None:
-        sim = self.simulation
-        if key == self.gui.ESCAPE:
+        if key in self.commands:
+            self.commands[key](self.player)
+        elif key == self.gui.ESCAPE:
             self.open = False
-        elif key == self.gui.SPACE:
-            self.paused = not self.paused
-        elif key in ("s", self.gui.RIGHT):
-            self.paused, self.single = True, self.single + (1 if key == "s" else max(1, round(1 / self.fps / sim.dt)))
-        elif key == "r":
-            self._reset()
-        elif key in ("[", "]"):
-            self.pace.scale(0.5 if key == "[" else 2.0)
         elif key in ("+", "=", "KP_Add", "-", "KP_Subtract"):
             self._zoom(-1.0 if key in ("-", "KP_Subtract") else 1.0)
         elif key == "h":
@@ -308,7 +247,7 @@ class _Window:
         self._render()
         if self.recording is not None:
             # as fast as was asked for, also where steps are slower; a pause is a pause
-            self._add(wall if self.paused or self.ended else simulated / self.pace.speed)
+            self._add(wall if self.player.stands else simulated / self.player.pace.speed)
         rows = self._rows()
         state = (self.picture, rows, self.level, self.recording is not None)
         if self.shown is not None and self.shown[0] is self.picture and self.shown[1:] == state[1:]:
@@ -323,44 +262,34 @@ class _Window:
 
     def _render(self, sharp: bool = False) -> None:
         """The picture of the present; coarse where it moves and drawing is slow, sharp once it stands or is written."""
-        if not self.stale and self.coarse == 1:
+        frame = self.player.frame
+        is_stale = self.stale or frame is not self.drawn
+        if not is_stale and self.coarse == 1:
             return
-        self.coarse = 1 if sharp or not self.stale or self.recording is not None else self.moving
+        self.coarse = 1 if sharp or not is_stale or self.recording is not None else self.moving
         begin = time.perf_counter()
         if self.moved:
             self.renderer.camera = self.view.camera
-        picture = self.renderer.render(self.frame, self.coarse)
+        picture = self.renderer.render(frame, self.coarse)
         self.view.camera = self.renderer.camera  # which may move by itself until it is moved by hand
         self._judge(time.perf_counter() - begin)
         self.picture = picture if picture.shape[1] == self.size[0] else _enlarged(picture, self.size)
-        pointer = self.pointer
-        if pointer is not None and pointer.ball is not None and pointer.target is not None:
-            ends = self.view.see(np.stack([self.frame.position[pointer.ball], pointer.target])).at
+        if self.player.held is not None:
+            ends = self.view.see(np.stack(self.player.held)).at
             if np.all(np.isfinite(ends)):
                 overlay.draw_line(self.picture, *map(tuple, ends.tolist()))
-        self.stale = False
+        self.drawn, self.stale = frame, False
 
     def _judge(self, seconds: float) -> None:
         """Draw what moves finer or coarser from now on, where its picture took so long; 2D is never coarse."""
-        if self.frame.dim == 3 and self.coarse == self.moving:
+        if self.player.frame.dim == 3 and self.coarse == self.moving:
             wanted = self.coarse + (seconds > SLOW_PICTURE) - (seconds < SLOW_PICTURE / 4)
             self.moving = min(max(wanted, 1), COARSEST)
 
     def _rows(self) -> tuple[tuple[str, str], ...]:
         """The figures that the overlay shows."""
-        message = (("", self.message),) if time.perf_counter() < self.message_until else ()
-        if self.level == NOTHING:
-            return message
-        frame, pace = self.frame, self.pace
-        asked = "" if pace.speed == 1 else f" ({pace.speed:g} x asked for)"
-        speed = "paused" if self.paused else "at its end" if self.ended else f"{pace.reached:.2g} x real time"
-        rate = () if self.paused or self.ended or not pace.rate else (("pictures", f"{pace.rate:.0f} per second"),)
-        energy = () if frame.energy is None else (("energy", f"{frame.energy[3]:.4g} J"),)
-        balls = ("balls", f"{len(frame.position):,}".replace(",", " "))
-        return (("time", f"{frame.time:.3f} s"), ("speed", speed + asked), *rate, *energy, balls, *message)
-
-    def _tell(self, message: str) -> None:
-        self.message, self.message_until = message, time.perf_counter() + MESSAGE_TIME
+        figures = () if self.level == NOTHING else self.player.figures()
+        return (*figures, *self.player.message)
 
     def _save(self) -> None:
         """Write picture_000.png, picture_001.png, ..., without the overlay."""
@@ -372,27 +301,27 @@ class _Window:
             with replacing(path) as file:
                 Pictures.fromarray(self.picture).save(file, "PNG")
         except OSError as error:
-            self._tell(str(error))
+            self.player.tell(str(error))
             return
-        self._tell(f"saved {path}")
+        self.player.tell(f"saved {path}")
         self.say(f"written      {path}")
 
     def _record(self) -> None:
         """Begin recording_000.mp4, recording_001.mp4, ..., without the overlay."""
         self._render(sharp=True)
         try:
-            self.recording = Recording(free_name("recording", ".mp4"), self.fps)
+            self.recording = Recording(free_name("recording", ".mp4"), self.player.fps)
         except OSError as error:
-            self._tell(str(error))
+            self.player.tell(str(error))
         else:
             self._add(0.0)
-            self._tell(f"recording {self.recording.path}")
+            self.player.tell(f"recording {self.recording.path}")
 
     def _add(self, seconds: float) -> None:
         """Give the picture to the recording."""
         assert self.recording is not None
         try:
-            self.recording.add(self.frame, self.picture, seconds)
+            self.recording.add(self.player.frame, self.picture, seconds)
         except Exception:  # a full disk, or what an encoder raises
             self._stop_recording()  # which says why
 
@@ -403,9 +332,9 @@ class _Window:
         try:
             recording.finish()
         except Exception as error:
-            self._tell(f"{recording.path}: cannot be written: {error}")
+            self.player.tell(f"{recording.path}: cannot be written: {error}")
             return
-        self._tell(f"saved {recording.path}")
+        self.player.tell(f"saved {recording.path}")
         self.say(f"written      {recording.path}")
 
 

@@ -74,7 +74,7 @@ def test_help_is_light(tmp_path):
     code = (
         "import sys\nsys.argv = ['taichi-sim', '--help']\nfrom taichi_sim.cli.main import main\n"
         "try:\n    main()\nexcept SystemExit:\n    pass\n"
-        "names = ('taichi', 'av', 'trimesh', 'matplotlib', 'pydantic', 'rich', 'PIL')\n"
+        "names = ('taichi', 'av', 'trimesh', 'matplotlib', 'pydantic', 'rich', 'PIL', 'viser')\n"
         "print([m for m in names if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)

@@ -286,5 +286,5 @@ def test_without_a_display_one_sentence(tmp_path, name, says):
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 2
     assert done.stderr.startswith(f"taichi-sim: {says}")
-    assert done.stderr.endswith("use `taichi-sim run SCENE -o x.mp4` instead\n")
+    assert done.stderr.endswith("use `taichi-sim view SCENE --web` or `taichi-sim run SCENE -o x.mp4` instead\n")
     assert done.stderr.count("\n") == 1

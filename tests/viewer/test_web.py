@@ -1,0 +1,498 @@
+"""Pages on which a simulation is watched: who is admitted, what is shown, what can be done, and what it costs a run."""
+
+import importlib
+import importlib.util
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import taichi_sim as ts
+from taichi_sim.analysis.frame import Frame
+from taichi_sim.viewer.web_server import WebServer
+from taichi_sim.viewer.web_stage import MOST_BALLS, WebStage
+
+pytestmark = pytest.mark.once
+
+viser = pytest.importorskip("viser", reason="viser is not installed (the extra web)")
+support = importlib.import_module("web_page")  # which takes viser
+Page = support.Page
+
+HAS_BROWSER = support.BROWSER is not None and importlib.util.find_spec("playwright") is not None
+needs_browser = pytest.mark.skipif(not HAS_BROWSER, reason="Chromium or playwright is not installed")
+
+CHILD = """
+import json, sys
+import taichi_sim as ts
+from taichi_sim.viewer import web
+
+class Logged(ts.Simulation):
+    def frame(self):
+        frame = super().frame()
+        print(json.dumps([frame.time, frame.position.tolist()]), flush=True)
+        return frame
+
+def simulate(forces):
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0.5], [0.5, 1]], radius=0.1, mass=[1.0, 1e-3, 1.0], pinned=[2])
+    scene.add_probe("second", kind="position", balls=[1])
+    return Logged(scene, forces=forces, contacts="off", arch="cpu", precision="f32", dt=1e-3)
+
+web.show(simulate, fps=30, port=0, title="three balls", say=lambda line: print(json.dumps(line), flush=True))
+"""
+
+
+# Who is admitted ---------------------------------------------------------------------------------------------------
+
+
+def answer(url: str) -> int:
+    """Status of the answer to a request."""
+    try:
+        found = urllib.request.urlopen(url, timeout=30)
+    except urllib.error.HTTPError as refused:
+        found = refused
+    with found:
+        assert (b"<html" in found.read()) == (found.status == 200)
+        return found.status
+
+
+def test_only_those_who_know_the_token_are_admitted():
+    from websockets.exceptions import InvalidStatus
+
+    with WebServer(port=0) as server:
+        bare = server.url.removesuffix(f"{server.token}/")
+        wrong = server.token[:-1] + ("A" if server.token[-1] != "A" else "B")
+        assert answer(server.url) == answer(server.url.rstrip("/")) == 200
+        for path in (
+            "",
+            "index.html",
+            f"{wrong}/",
+            f"{server.token}x/",
+            f"{server.token[:-1]}/",
+            f"?{server.token}",
+            "%2e%2e/",
+        ):
+            assert answer(bare + path) == 403, path
+            with pytest.raises(InvalidStatus, match="403"):
+                Page(bare + path)
+        assert not server.watched
+        with Page(server.url) as page:
+            page.until(lambda: server.watched)
+        other = WebServer(port=0)
+        other.close()
+        assert other.token != server.token
+        assert len(server.token) > 20
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_nothing_but_the_loopback_listens():
+    with WebServer(port=0) as server:
+        listening = []
+        for name in ("tcp", "tcp6"):
+            for row in Path("/proc/net", name).read_text().splitlines()[1:]:
+                _, local, _, state = row.split()[:4]
+                address, port = local.split(":")
+                if state == "0A" and int(port, 16) == server.port:
+                    listening.append(address)
+        assert listening == ["0100007F"]
+    with socket.socket() as free:  # the port is given back
+        free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        free.bind(("127.0.0.1", server.port))
+
+
+def test_an_address_that_cannot_be_had_is_one_sentence():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(OSError, match=rf"^port {port} is in use; choose another one with --port") as caught:
+            WebServer(port=port)
+    assert caught.value.errno is None  # the command prints the sentence alone
+    with pytest.raises(OSError, match="is no address of this machine"):
+        WebServer(host="203.0.113.7", port=0)
+    with pytest.raises(ValueError, match="port: 65536 is not allowed; it must be from 0 to 65535"):
+        WebServer(port=65536)
+
+
+def test_without_viser_one_sentence_names_the_command(monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(ts.BackendError, match=r'pip install "taichi-sim\[web\]"'):
+        ts.LiveView(port=0)
+
+
+@pytest.mark.parametrize(("words", "says"), [
+    (["view", "box", "--port", "0"], "--port needs --web"),
+    (["run", "box", "--host", "0.0.0.0"], "--host needs --watch"),
+])  # fmt: skip
+def test_options_of_pages_need_pages(words, says):
+    from typer.testing import CliRunner
+
+    from taichi_sim.cli.main import main
+
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 2
+    assert done.stderr == f"taichi-sim: {says}\n"
+
+
+# What is shown -----------------------------------------------------------------------------------------------------
+
+
+def sheet(many: int, tilt: float = 0.0) -> Frame:
+    """A square sheet of many balls a side, a loose pair that a spring joins, a drum and a floor."""
+    u = np.linspace(0.0, 1.0, many)
+    x = np.stack([*np.meshgrid(u, u, indexing="ij"), np.full((many, many), 0.3)], axis=-1).reshape(-1, 3)[:, [0, 2, 1]]
+    x[:, 1] += tilt * x[:, 0]
+    k = np.arange(many * many).reshape(many, many)
+    corners = [(k[:-1, :-1], k[:-1, 1:], k[1:, :-1]), (k[1:, 1:], k[1:, :-1], k[:-1, 1:])]
+    faces = np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners]).astype(np.int32)
+    x = np.concatenate([x, [[0.2, 0.8, 0.2], [0.6, 0.8, 0.2]]])
+    n = len(x)
+    ts_scene = ts.Scene(dim=3)
+    ts_scene.add_collider(ts.Sphere((0.5, 0.0, 0.5), 0.2, name="stone"))
+    with ts.Simulation(ts_scene, arch="cpu", contacts="off") as sim:
+        colliders = sim.frame().colliders
+    return Frame(
+        tilt, x, np.stack([0 * x[:, 0], 3 * x[:, 0], 0 * x[:, 0]], axis=1), np.full(n, 0.05), triangles=faces,
+        springs=np.array([[n - 2, n - 1]], dtype=np.int32), walls=np.array([[0.0, 1.0, 0.0, -0.1]]), colliders=colliders,
+    )  # fmt: skip
+
+
+def floats(part, name):
+    """Shape of an array that came as a reference to bytes."""
+    return part[name]["__binary_shape"] if "__binary_shape" in part[name] else part[name]
+
+
+def test_all_that_a_scene_holds_is_shown_and_moves():
+    first = sheet(9)
+    with WebServer(port=0) as server, Page(server.url) as page:
+        stage = WebStage(server, first, {})
+        stage.show(first)
+        page.until(lambda: "/hand" not in page.parts and "/springs" in page.parts and "/collider0" in page.parts)
+        kinds = {name: part["type"] for name, part in page.parts.items() if name.startswith("/")}
+        assert kinds["/balls"] == "BatchedMeshesMessage"
+        assert kinds["/springs"] == "LineSegmentsMessage"
+        assert {kinds[name] for name in ("/surface0_own0", "/collider0", "/wall0")} == {"MeshMessage"}
+        assert stage.legend("object") == ()
+        assert stage.legend("strain") == (("strain", "dark 0 to light 0.1"),)
+        assert stage.legend("speed")[0][1].endswith(" m/s")
+        stage.show(sheet(9, 0.5), "speed")
+        page.until(lambda: sum(name.startswith("/surface0_band") for name in page.parts) > 6)  # 0 to 3 m/s along it
+        stage.show(sheet(9, 0.7), "object", (np.zeros(3), np.ones(3)))
+        page.until(lambda: "/hand" in page.parts)
+        before = page.parts["/surface0_own0"]["updates"]
+        stage.show(sheet(9, 0.9))
+        page.until(lambda: page.parts["/surface0_own0"]["updates"] > before)
+
+
+def test_a_scene_of_any_size_and_anywhere_is_as_large_and_in_the_middle():
+    for unit, far in ((1e-4, 0.0), (1.0, 5e3), (2e6, -1e7)):
+        rng = np.random.default_rng(3)
+        x = far + unit * rng.uniform(-1, 1, (40, 2))
+        with WebServer(port=0) as server:
+            stage = WebStage(server, Frame(0.0, x, 0 * x, np.full(40, 0.01 * unit)), {})
+            page = stage._to_page(x)
+            assert 0.2 < np.abs(page).max() < 0.8
+            assert stage._to_scene(page[7]) == pytest.approx(x[7], abs=1e-6 * unit + 1e-7 * abs(far))
+
+
+def test_a_million_balls_are_thinned_and_it_is_said():
+    n = 1_000_000
+    x = np.random.default_rng(1).uniform(size=(n, 3)).astype(np.float64)
+    frame = Frame(0.0, x, 0 * x, np.where(np.arange(n) % 2, 0.002, 0.004), colour=np.full((n, 3), 0.5))
+    with WebServer(port=0) as server, Page(server.url) as page:
+        stage = WebStage(server, frame, {}, grip=lambda *_: None)
+        stage.show(frame)
+        page.until(lambda: "/points0" in page.parts)
+        assert stage.notes[0] == "1 of 5 balls is drawn: 1000000 are too many"
+        assert "cannot be dragged" in stage.notes[1]
+        assert page.bytes < 20 * MOST_BALLS
+
+
+# What can be done --------------------------------------------------------------------------------------------------
+
+
+class Played:
+    """The simulation of CHILD in a process of its own, and what it says."""
+
+    def __init__(self, folder: Path) -> None:
+        import json
+        import threading
+
+        (folder / "child.py").write_text(CHILD)
+        self.errors = folder / "errors"
+        with open(self.errors, "w") as errors:
+            self.process = subprocess.Popen(
+                [sys.executable, "child.py"], cwd=folder, stdout=subprocess.PIPE, stderr=errors, text=True,
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            )  # fmt: skip
+        self.url = json.loads(self.process.stdout.readline()).split()[-1]
+        self.time, self.position = 0.0, np.zeros((3, 2))
+
+        def listen() -> None:
+            for line in self.process.stdout:
+                self.time, position = json.loads(line)
+                self.position = np.array(position)
+
+        threading.Thread(target=listen, daemon=True).start()
+
+    def until(self, happened, wait: float = 60.0) -> None:
+        end = time.monotonic() + wait
+        while not happened():
+            assert time.monotonic() < end, self.errors.read_text()
+            assert self.process.poll() is None, self.errors.read_text()
+            time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    one = Played(tmp_path_factory.mktemp("played"))
+    yield one
+    one.process.kill()
+    one.process.wait()
+
+
+@pytest.fixture
+def page(played):
+    with Page(played.url) as one:
+        one.until(lambda: "/balls" in one.parts and "three" not in one.figures and one.figures)
+        yield one
+
+
+def places(played: Played) -> list:
+    """Where the balls are on a page: its middle and unit are those of all balls' box."""
+    centre, size = np.array([0.5, 0.5]), np.hypot(1.2, 1.2)
+    return [[*((x - centre) / size), 0.0] for x in played.position]
+
+
+def test_no_time_passes_until_a_page_is_open(played):
+    time.sleep(1.0)
+    assert played.time == 0.0
+    with Page(played.url) as page:
+        page.until(lambda: played.time > 0.1)
+        page.until(lambda: page.parts["/balls"]["updates"] >= 1)
+    played.until(lambda: True)
+    time.sleep(0.5)
+    stopped = played.time
+    time.sleep(0.5)
+    assert played.time == stopped
+
+
+def test_two_pages_show_and_do_the_same(played, page):
+    with Page(played.url) as other:
+        other.until(lambda: other.figures and "/balls" in other.parts)
+        played.until(lambda: played.time > 0.1)
+        page.press("Pause")
+        for one in (page, other):
+            one.until(lambda one=one: "paused" in one.figures)
+        stopped = played.time
+        other.press("Step")
+        other.press("Step")
+        played.until(lambda: played.time == pytest.approx(stopped + 2e-3, abs=1e-9))
+        page.press("Picture")
+        played.until(lambda: played.time == pytest.approx(stopped + 2e-3 + 33e-3, abs=1e-9))
+        other.press("Reset")
+        played.until(lambda: played.time == 0.0)
+        page.until(lambda: "0.000 s" in page.figures)
+        page.press("Pause")
+        played.until(lambda: played.time > 0.1)
+
+
+def test_a_ball_is_dragged_by_one_page_at_a_time(played, page):
+    page.press("Reset")
+    played.until(lambda: played.time < 0.2)
+    start, goal = places(played)[0], [0.3, 0.2, 0.0]
+    with Page(played.url) as other:
+        other.until(lambda: "/balls" in other.parts)
+        page.drag("/balls", "start", start, 0)
+        page.drag("/balls", "update", goal, 0)
+        played.until(lambda: played.position[0][0] > 0.1)
+        other.drag("/balls", "start", places(played)[1], 1)  # while another page drags
+        other.drag("/balls", "update", [-0.4, -0.4, 0.0], 1)
+        played.until(lambda: np.linalg.norm(np.subtract(places(played)[0], goal)) < 0.02)
+        page.drag("/balls", "end", goal, 0)
+        assert played.position[1] == pytest.approx([1.0, 0.5], abs=1e-3)
+        other.drag("/balls", "end", goal, 1)
+        other.drag("/balls", "start", places(played)[2], 2)  # a pinned one
+        other.drag("/balls", "update", goal, 2)
+        other.drag("/balls", "end", goal, 2)
+        # a page that vanishes lets go
+        other.drag("/balls", "start", places(played)[1], 1)
+        other.drag("/balls", "update", goal, 1)
+        played.until(lambda: played.position[1][1] > 0.55)
+        other.vanish()
+    page.until(lambda: page.parts.get("/hand", {}).get("visible") is not True)
+    page.drag("/balls", "start", places(played)[0], 0)
+    page.drag("/balls", "update", [-0.2, 0.1, 0.0], 0)
+    played.until(lambda: np.linalg.norm(np.subtract(places(played)[0], [-0.2, 0.1, 0.0])) < 0.05)
+    page.drag("/balls", "end", [-0.2, 0.1, 0.0], 0)
+    assert played.position[2] == pytest.approx([0.5, 1.0], abs=1e-6)
+
+
+def test_nothing_that_a_page_says_ends_the_simulation(played, page):
+    for instance, to in (
+        (10**9, [0, 0, 0]),
+        (-3, [0, 0, 0]),
+        (0, [float("nan"), 0, 0]),
+        (0, [1e308, 0, 0]),
+        (None, [0, 0, 0]),
+    ):
+        for phase in ("update", "start", "update", "end", "end"):
+            page.drag("/balls", phase, to, instance)
+    uuid = next(name for name, one in page.parts.items() if "Pause" in one.get("options", ()))
+    choice = next(name for name, one in page.parts.items() if "speed" in one.get("options", ()))
+    for name, value in ((uuid, "rm"), (choice, "../../etc"), ("none", 1)):
+        page.say("GuiUpdateMessage", uuid=name, updates={"value": value})
+    page.say("ShareUrlRequest")
+    now = played.time
+    played.until(lambda: played.time > now + 0.2)
+
+
+def test_control_c_ends_it(played):
+    """The last of those that share the simulation."""
+    with Page(played.url) as page:
+        page.until(lambda: page.figures)
+        played.process.send_signal(signal.SIGINT)
+        assert played.process.wait(timeout=30) == 0
+    lines = [line for line in played.errors.read_text().splitlines() if "Traceback" in line]
+    assert lines == []
+
+
+# What a run is charged ---------------------------------------------------------------------------------------------
+
+
+def pile():
+    scene = ts.Scene(dim=2, gravity=(0.0, -10.0))
+    places = np.stack(np.meshgrid(0.15 * np.arange(10), 0.1 + 0.15 * np.arange(6)), axis=-1).reshape(-1, 2)
+    scene.add_balls(places + np.random.default_rng(5).uniform(0, 0.04, places.shape), radius=0.05)
+    scene.add_wall((0, 1))
+    scene.add_probe("ball", kind="position", balls=[3])
+    return scene
+
+
+class Kept(ts.Output):
+    """An output that keeps positions."""
+
+    needs_image = False
+
+    def __init__(self):
+        self.kept = []
+
+    def write(self, index, frame, image):
+        self.kept.append(frame.position.copy())
+
+
+def look_on(view: ts.LiveView, sim: ts.Simulation) -> np.ndarray:
+    """Positions of all frames of a run at which a slow page looks on, and one that vanishes."""
+    slow, gone, kept = Page(view.url, slow=0.5), Page(view.url), Kept()
+    slow.until(lambda: view._server.watched)
+
+    def show(frame: Frame) -> None:
+        view.show(frame)
+        if len(kept.kept) == 50:
+            gone.vanish()
+
+    ts.export(sim, kept, fps=100, duration=1.0, watch=show)
+    slow.until(lambda: "GuiUplotMessage" in [one.get("type") for one in slow.parts.values()])
+    slow.close()
+    return np.array(kept.kept)
+
+
+def test_a_run_is_the_same_whoever_looks_on():
+    with ts.Simulation(pile(), arch="cpu", dt=2e-3) as sim:
+        start, alone, unseen = sim.snapshot(), Kept(), Kept()
+        ts.export(sim, alone, fps=100, duration=1.0)
+        sim.resume(start)
+        with ts.LiveView(port=0) as view:  # which nobody opens
+            ts.export(sim, unseen, fps=100, duration=1.0, watch=view.show)
+        sim.resume(start)
+        with ts.LiveView(port=0, style={"colour": "speed"}) as view:
+            watched = look_on(view, sim)
+    assert len(watched) == 101
+    assert np.array_equal(watched, alone.kept)
+    assert np.array_equal(unseen.kept, alone.kept)
+
+
+def test_a_page_hears_why_nothing_moves_any_more():
+    with ts.LiveView(port=0) as view:
+        view.show(sheet(3))
+        page = Page(view.url)
+        page.until(lambda: view._server.watched)
+        error = ts.UnstableError("ball 3 left the world", 1.0, 3, None, None)
+        view.__exit__(type(error), error, None)
+    page.until(lambda: page.said)
+    assert page.said[0]["body"] == "ball 3 left the world"
+
+
+@pytest.mark.slow
+def test_a_run_that_is_watched_ends_by_itself(tmp_path):
+    """By the command, with a page that stays open; the address is printed with --quiet, too."""
+    (tmp_path / "ball.toml").write_text("format = 1\ndim = 2\n[[balls]]\nposition = [[0.0, 1.0]]\nradius = 0.1\n")
+    words = ["run", "ball.toml", "--watch", "--port", "0", "--quiet", "-o", "x.npz", "--fps", "100", "--duration", "30"]
+    run = subprocess.Popen(
+        [sys.executable, "-m", "taichi_sim", *words],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with Page(run.stdout.readline().split()[-1]) as page:
+        page.until(lambda: "/balls" in page.parts)
+        out, errors = run.communicate(timeout=120)
+    assert (run.returncode, out, errors) == (0, "", "")
+    assert (tmp_path / "x.npz").is_file()
+
+
+@pytest.mark.slow
+def test_the_program_of_the_page_runs(tmp_path, monkeypatch):
+    page = Path(__file__).parents[2] / "docs" / "web.md"
+    (program,) = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(program, "web.md", "exec"), {})
+    assert (tmp_path / "balls.npz").is_file()
+
+
+def test_a_notebook_shows_the_page_in_a_cell():
+    with ts.LiveView(port=0) as view:
+        assert f'<iframe src="{view.url}"' in view._repr_html_()
+
+
+# In a browser ------------------------------------------------------------------------------------------------------
+
+
+@needs_browser
+@pytest.mark.long
+def test_a_browser_draws_it_without_an_error(tmp_path):
+    """Balls, a surface and the panel are seen, in two windows; the one that stays goes on when the other is closed."""
+    from io import BytesIO
+
+    from PIL import Image
+
+    errors = []
+    with WebServer(port=0) as server, support.browser() as browser:
+        first = sheet(4)
+        WebStage(server, first, {}).show(first)
+        from taichi_sim.viewer.web_panel import WebPanel
+
+        panel = WebPanel(server, "sheet <b>", {"a.x": "m", "a.y": "m"}, "object")
+        panel.show(0.0, {"a.x": 1.0, "a.y": 2.0}, lambda: (("time", "0.000 s"), ("", "1 of 5 <balls> is drawn")))
+        pages = [browser.new_page(viewport={"width": 640, "height": 360}) for _ in range(2)]
+        for page in pages:
+            page.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
+            page.on("pageerror", lambda error: errors.append(str(error)))
+            page.goto(server.url)
+        for page in pages:
+            page.get_by_text("1 of 5 <balls> is drawn").wait_for(timeout=60_000)
+            page.get_by_text("a.x [m]").wait_for(timeout=60_000)
+        pages[0].close()
+        colours, end = 0, time.monotonic() + 60
+        while colours < 500 and time.monotonic() < end:
+            picture = np.array(Image.open(BytesIO(pages[1].screenshot(timeout=60_000))).convert("RGB")).astype(int)
+            colours = int((np.ptp(picture, axis=2) > 60)[80:, :300].sum())  # beside the panel
+    assert colours >= 500
+    assert errors == []
