@@ -151,17 +151,15 @@ def test_damped_bending_lets_a_folded_sheet_turn(method):
         assert sim.energy().total < energy.total - 1e-3 * energy.kinetic
 
 
-@pytest.mark.slow_where(driver="fused")
-@pytest.mark.parametrize("driver", ["fused", "parallel"])
-@pytest.mark.parametrize("make", [box, square, joined])
-def test_forces_agree_with_numpy(make, driver):
+@pytest.mark.parametrize("make", [box, joined])
+def test_forces_agree_with_numpy(make):
     scene = make()
     x, v = scene.position.copy(), scene.velocity.copy()
     force = elastic_forces(scene, x)
     if scene.wind is not None:
         force += wind_forces(scene, x, v, H) + bend_damping(scene, x, v)
     w = np.where(scene.pinned, 0.0, 1.0 / scene.mass)[:, None]
-    with simulate(scene, ("ordered", driver), integrator="symplectic_euler", dt=H, contacts="off") as sim:
+    with simulate(scene, ("ordered", "parallel"), integrator="symplectic_euler", dt=H, contacts="off") as sim:
         sim.step()
         change = (sim.velocity - v) / H
     scale = np.abs(w * force).max()
@@ -217,9 +215,8 @@ def closed(dim: int) -> ts.Scene:
     return scene
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_momentum_and_energy_are_kept(dim):
-    scene = closed(dim)
+def test_momentum_and_energy_are_kept_with_gas():
+    scene = closed(3)
     with simulate(scene, dt=5e-4, contacts="off") as sim:
         start, momentum, angular = sim.energy(), sim.momentum(), np.atleast_1d(sim.angular_momentum())
         largest = start.spring + start.kinetic + 1.0
@@ -229,20 +226,6 @@ def test_momentum_and_energy_are_kept(dim):
         assert np.abs(np.atleast_1d(sim.angular_momentum()) - angular).max() < 40 * EPS * size * 40
         assert abs(sim.energy().total - start.total) < 2e-3 * largest
         assert sim.energy().kinetic > 0.05  # it moved
-
-
-@pytest.mark.slow
-def test_order_of_verlet_with_elements():
-    if not F64:
-        pytest.skip("orders are measured in double precision")
-    ends = []
-    for steps in (40, 80, 160, 640):
-        with simulate(closed(3), dt=0.2 / steps, contacts="off") as sim:
-            sim.step(steps)
-            ends.append(sim.position)
-    errors = [np.abs(end - ends[-1]).max() for end in ends[:-1]]
-    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.all(np.abs(slopes - 2.0) < 0.15), slopes
 
 
 @pytest.mark.slow_where(dim=2)

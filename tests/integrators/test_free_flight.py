@@ -4,10 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+from element_blocks import mesh
 from physics_support import F64, simulate
 
 import taichi_sim as ts
-from tests.forces.test_solids import mesh
 
 VELOCITY = (0.7, -3.0, 1.3)  # m/s
 

@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import taichi as ti
+from element_blocks import mesh
 from physics_support import F64, PRECISION, each_dim, simulate, vector
 
 import taichi_sim as ts
@@ -14,7 +15,6 @@ from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import stepper
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.state_probe import StateSample
-from tests.forces.test_solids import mesh
 
 pytestmark = pytest.mark.long_in("f64")
 
