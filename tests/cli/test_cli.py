@@ -154,6 +154,7 @@ def test_demos_are_listed_with_one_line_each(tmp_path):
         assert built_in(file), f"{file} says nothing about itself in its first line"
 
 
+@pytest.mark.slow_where(arguments=("check", "cloth"))
 @pytest.mark.parametrize("arguments", [("demos",), ("check", "cloth")])
 def test_who_stops_reading_gets_no_error(tmp_path, arguments):
     """As `taichi-sim demos | head -1`: the work is done, and its status says so."""

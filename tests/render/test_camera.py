@@ -196,6 +196,7 @@ def test_a_bounce_does_not_jerk_and_jitter_does_not_show():
     assert np.diff(eyes, axis=0).std() < 0.15 * np.diff(noise, axis=0).std()
 
 
+@pytest.mark.slow
 def test_frames_that_are_not_drawn_count():
     """A resumed run shows what one that was not cut off does."""
     t = np.arange(30) / 10

@@ -391,6 +391,7 @@ def test_a_ball_that_is_flung_away_takes_no_detail_from_shadows():
     np.testing.assert_array_equal(seen[0], seen[2])
 
 
+@pytest.mark.slow
 def test_a_collider_in_sight_has_a_shadow_where_balls_are_few():
     scene = Scene(dim=3)
     scene.add_balls([[0.6, 0.1, 0.3]], radius=0.05)

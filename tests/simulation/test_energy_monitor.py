@@ -208,6 +208,7 @@ def test_a_swing_that_turns_around_at_rest_may_be_off_by_a_part_of_its_largest_e
     assert watch.judge(look(0.05, 0.0, 6.02)) == pytest.approx((6.000001, 6.07, True))
 
 
+@pytest.mark.slow
 def test_solver_of_implicit_methods_is_public():
     scene = net()
     with simulate(scene, integrator="tr_bdf2", dt=0.01, contacts="off") as sim:
