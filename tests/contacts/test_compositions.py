@@ -84,7 +84,9 @@ def test_a_fabric_tears_across_and_then_holds_nothing():
     "rule",
     [
         "gauss_seidel",
-        pytest.param("jacobi", marks=pytest.mark.xfail(strict=True, reason="an impact adds a tenth of the energy")),
+        pytest.param(
+            "jacobi", marks=pytest.mark.xfail(strict=True, reason="kicks of the step of an impact are not thrown back")
+        ),
     ],
 )
 @pytest.mark.parametrize("kind", ["springs", "bricks"])
@@ -107,12 +109,20 @@ def plate(low, high):
 
 
 @pytest.mark.parametrize(
-    "made_of",
-    [ts.Box, pytest.param(ts.Mesh, marks=pytest.mark.xfail(strict=True, reason="a mesh's edge lifts by a tenth of r"))],
+    ("made_of", "radius"),
+    [
+        (ts.Box, 0.04),
+        (ts.Mesh, 0.02),
+        pytest.param(
+            ts.Mesh,
+            0.04,
+            marks=pytest.mark.xfail(strict=True, reason="distances are rounded beyond two cells of the mesh's grid"),
+        ),
+    ],
 )
-def test_balls_slide_over_the_seam_of_two_thin_plates(made_of):
-    """Plates of a twentieth of a ball beside each other: nothing lifts, brakes or lets through what slides across."""
-    scene, radius, thick = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0)), 0.04, 0.002
+def test_balls_slide_over_the_seam_of_two_thin_plates(made_of, radius):
+    """Plates of a twentieth of a ball, or a tenth, beside each other: nothing lifts, brakes or lets through what slides across."""
+    scene, thick = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0)), 0.002
     scene.add_material("smooth", restitution=0.4)
     for low, high in ((-1.0, 0.0), (0.0, 1.0)):
         if made_of is ts.Box:
