@@ -116,7 +116,7 @@ def plate(low, high):
         pytest.param(
             ts.Mesh,
             0.04,
-            marks=pytest.mark.xfail(strict=True, reason="distances are rounded beyond two cells of the mesh's grid"),
+            marks=pytest.mark.xfail(strict=True, reason="distances are rounded beyond two cells of its grid"),
         ),
     ],
 )
