@@ -121,7 +121,7 @@ def plate(low, high):
     ],
 )
 def test_balls_slide_over_the_seam_of_two_thin_plates(made_of, radius):
-    """Plates of a twentieth of a ball, or a tenth, beside each other: nothing lifts, brakes or lets through what slides across."""
+    """Plates thinner than a tenth of a ball: nothing lifts, brakes or lets through what slides across."""
     scene, thick = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0)), 0.002
     scene.add_material("smooth", restitution=0.4)
     for low, high in ((-1.0, 0.0), (0.0, 1.0)):
