@@ -28,6 +28,7 @@ def promised(program):
     return [[float(n) for n in re.findall(NUMBER, comment)] for comment in comments]
 
 
+@pytest.mark.slow_where(name=[name for name in CHAPTERS if name != "05_springs"])
 @pytest.mark.parametrize("name", CHAPTERS)
 def test_programs_print_what_the_page_says(name, capsys):
     names: dict = {}

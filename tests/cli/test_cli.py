@@ -56,6 +56,34 @@ def command(folder: Path, *arguments: str, **environment: str) -> subprocess.Com
     )
 
 
+def in_one_process(folder: Path, calls: list[tuple[str, ...]], **environment: str) -> list[tuple[int, str, str]]:
+    """Status, output and error text of several commands, run one after the other in one process, for speed."""
+    code = """import contextlib, io, json, sys
+from taichi_sim.cli.main import main
+results = []
+for arguments in json.loads(sys.argv[1]):
+    sys.argv[1:] = arguments
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            main()
+        except SystemExit as end:
+            status = end.code or 0
+    results.append((status, out.getvalue(), err.getvalue()))
+print(json.dumps(results))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps(calls)],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    return [tuple(result) for result in json.loads(done.stdout)]
+
+
 def names(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
 
@@ -65,6 +93,31 @@ def folder(tmp_path):
     (tmp_path / "ball.toml").write_text(BALL)
     (tmp_path / "stiff.toml").write_text(STIFF)
     return tmp_path
+
+
+WORKS = {
+    "arrays": ("run", "ball.toml", "-o", "ball.npz", "-o", "ball.csv"),
+    "options": ("run", "ball.toml", "-o", "fast.npz", "--fps", "10", "--duration", "1", "--quiet", "--dt", "auto"),
+    "python": ("run", "s.py", "-o", "python.npz", "--duration", "0.1"),
+    "check": ("check", "stiff.toml"),
+    "first": ("run", "ball.toml", "-o", "x.npz", "--resume", "--quiet"),
+    "again": ("run", "ball.toml", "-o", "x.npz", "--resume", "--quiet"),
+    "more": ("run", "ball.toml", "-o", "x.npz", "-o", "y.csv", "--resume"),
+}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A folder in which one process ran the commands of WORKS, with status, output and errors of each."""
+    folder = tmp_path_factory.mktemp("works")
+    (folder / "ball.toml").write_text(BALL)
+    (folder / "stiff.toml").write_text(STIFF)
+    (folder / "parts.py").write_text("HEIGHT = 2.0\n")
+    (folder / "s.py").write_text(
+        "import taichi_sim as ts\nfrom parts import HEIGHT\n\ndef scene():\n    scene = ts.Scene(dim=2)\n"
+        "    scene.add_balls([[0, HEIGHT]], radius=0.1)\n    return scene\n"
+    )
+    return folder, dict(zip(WORKS, in_one_process(folder, list(WORKS.values()))))
 
 
 # What works --------------------------------------------------------------------------------------------------------
@@ -101,6 +154,7 @@ def test_demos_are_listed_with_one_line_each(tmp_path):
         assert built_in(file), f"{file} says nothing about itself in its first line"
 
 
+@pytest.mark.slow_where(arguments=("check", "cloth"))
 @pytest.mark.parametrize("arguments", [("demos",), ("check", "cloth")])
 def test_who_stops_reading_gets_no_error(tmp_path, arguments):
     """As `taichi-sim demos | head -1`: the work is done, and its status says so."""
@@ -133,12 +187,12 @@ runpy.run_module("taichi_sim", run_name="__main__")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "taichi-sim: interrupted\n")
 
 
-def test_run_writes_arrays_and_a_summary(folder):
-    done = command(folder, "run", "ball.toml", "-o", "ball.npz", "-o", "ball.csv")
-    assert (done.returncode, done.stderr) == (0, "")
+def test_run_writes_arrays_and_a_summary(done):
+    folder, (status, out, err) = done[0], done[1]["arrays"]
+    assert (status, err) == (0, "")
     for word in ("frames       11", "energy", "momentum", "per simulated second", "ball.npz", "ball.csv"):
-        assert word in done.stdout
-    assert "penetration" not in done.stdout  # one ball alone has no contacts
+        assert word in out
+    assert "penetration" not in out  # one ball alone has no contacts
     with np.load(folder / "ball.npz") as data:
         t = data["time"]
         assert t == pytest.approx(np.arange(11) / 20)
@@ -146,7 +200,9 @@ def test_run_writes_arrays_and_a_summary(folder):
         assert data["energy"][:, 3] == pytest.approx(np.full(11, 10.0))
         table = np.genfromtxt(folder / "ball.csv", delimiter=",", names=True)
         assert np.array_equal(table["total"], data["energy"][:, 3])
-    assert names(folder) == ["ball.csv", "ball.npz", "ball.toml", "stiff.toml"]
+    given = ["ball.toml", "parts.py", "s.py", "stiff.toml"]
+    written = ["ball.csv", "ball.npz", "fast.npz", "python.npz", "x.npz", "y.csv"]
+    assert [name for name in names(folder) if name != "__pycache__"] == sorted(given + written)
 
 
 def test_help_names_every_format(tmp_path):
@@ -157,12 +213,9 @@ def test_help_names_every_format(tmp_path):
         assert ending in done.stdout, ending
 
 
-def test_options_go_over_the_file_and_quiet_is_quiet(folder):
-    done = command(
-        folder, "run", "ball.toml", "-o", "x.npz", "--fps", "10", "--duration", "1", "--quiet", "--dt", "auto"
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert np.load(folder / "x.npz")["time"] == pytest.approx(np.arange(11) / 10)
+def test_options_go_over_the_file_and_quiet_is_quiet(done):
+    assert done[1]["options"] == (0, "", "")
+    assert np.load(done[0] / "fast.npz")["time"] == pytest.approx(np.arange(11) / 10)
 
 
 def test_run_draws_a_video_without_a_display(folder):
@@ -177,14 +230,9 @@ def test_run_draws_a_video_without_a_display(folder):
     assert np.abs(frames[0].astype(int) - frames[-1]).max() > 50
 
 
-def test_a_python_scene(folder):
-    (folder / "parts.py").write_text("HEIGHT = 2.0\n")
-    (folder / "s.py").write_text(
-        "import taichi_sim as ts\nfrom parts import HEIGHT\n\ndef scene():\n    scene = ts.Scene(dim=2)\n"
-        "    scene.add_balls([[0, HEIGHT]], radius=0.1)\n    return scene\n"
-    )
-    assert command(folder, "run", "s.py", "-o", "x.npz", "--duration", "0.1").returncode == 0
-    assert np.load(folder / "x.npz")["position"][0, 0, 1] == 2.0
+def test_a_python_scene(done):
+    assert done[1]["python"][0] == 0
+    assert np.load(done[0] / "python.npz")["position"][0, 0, 1] == 2.0
 
 
 @pytest.mark.slow
@@ -234,11 +282,11 @@ def test_a_python_simulation_is_shown_as_its_scene_says(folder):
         assert len(arrays["time"]) == 7
 
 
-def test_check_says_what_is_safe(folder):
-    done = command(folder, "check", "stiff.toml")
-    assert done.returncode == 0
-    assert "however the scene deforms" in done.stdout
-    assert "spring 0" in done.stdout
+def test_check_says_what_is_safe(done):
+    status, out, _ = done[1]["check"]
+    assert status == 0
+    assert "however the scene deforms" in out
+    assert "spring 0" in out
 
 
 @pytest.mark.slow
@@ -389,34 +437,6 @@ def write_bad_files(folder: Path) -> None:
     (folder / "full" / "notes.txt").write_text("mine")
 
 
-def in_one_process(folder: Path, calls: list[tuple[str, ...]], **environment: str) -> list[tuple[int, str, str]]:
-    """Status, output and error text of several commands, run one after the other in one process, for speed."""
-    code = """import contextlib, io, json, sys
-from taichi_sim.cli.main import main
-results = []
-for arguments in json.loads(sys.argv[1]):
-    sys.argv[1:] = arguments
-    out, err, status = io.StringIO(), io.StringIO(), 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main()
-        except SystemExit as end:
-            status = end.code or 0
-    results.append((status, out.getvalue(), err.getvalue()))
-print(json.dumps(results))
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(calls)],
-        cwd=folder,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
-    return [tuple(result) for result in json.loads(done.stdout)]
-
-
 def test_bad_input_ends_with_one_message_and_writes_nothing(folder):
     write_bad_files(folder)
     before = names(folder)
@@ -434,19 +454,13 @@ def test_bad_input_ends_with_one_message_and_writes_nothing(folder):
     assert names(folder / "full") == ["notes.txt"]
 
 
-def test_resume_says_where_nothing_is_kept(folder):
-    done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
-    assert done.returncode == 0
-    assert done.stderr == "x.npz: nothing is kept of it; it begins at the first frame\n"
-    before = (folder / "x.npz").stat().st_ino
-    done = command(folder, "run", "ball.toml", "-o", "x.npz", "--resume", "--quiet")
-    assert done.returncode == 0
-    assert done.stderr == "x.npz: is complete, and is left as it is; without --resume it is made anew\n"
-    assert (folder / "x.npz").stat().st_ino == before
-    done = command(folder, "run", "ball.toml", "-o", "x.npz", "-o", "y.csv", "--resume")
-    assert done.stderr.count("x.npz: is complete") == 1
-    assert "written      y.csv" in done.stdout
-    assert "written      x.npz" not in done.stdout
+def test_resume_says_where_nothing_is_kept(done):
+    first, again, more = (done[1][name] for name in ("first", "again", "more"))
+    assert first == (0, "", "x.npz: nothing is kept of it; it begins at the first frame\n")
+    assert again == (0, "", "x.npz: is complete, and is left as it is; without --resume it is made anew\n")
+    assert more[2].count("x.npz: is complete") == 1
+    assert "written      y.csv" in more[1]
+    assert "written      x.npz" not in more[1]
 
 
 def test_cuda_without_a_gpu(folder):

@@ -68,7 +68,6 @@ def draw(rng, scene):
     return (a.astype(np.float64 if F64 else np.float32).astype(np.float64) for a in (x, v))
 
 
-@pytest.mark.slow
 def test_pairs_and_one_iteration_as_by_brute_force(soup_run):
     sim, scene = soup_run, soup_run.scene
     rng = np.random.default_rng(1)

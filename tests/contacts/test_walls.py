@@ -356,3 +356,24 @@ def test_what_impulse_probes_of_all_walls_sum_is_what_a_bouncing_spring_lost(dam
         given = [sum(sim.probes()[f"{name}.{axis}"] for name in ("floor", "lid", "left", "right")) for axis in "xy"]
         lost = scene.mass @ scene.velocity + scene.mass.sum() * scene.gravity * 0.5 - scene.mass @ sim.velocity
     np.testing.assert_allclose(given, lost, atol=1e-12 if F64 else 2e-4)
+
+
+@pytest.mark.slow_where(dim=2)
+@each_dim
+def test_an_oblique_bounce_is_rubbed_by_coulombs_law(dim):
+    """Without gravity: friction takes mu (1 + e) times the normal speed of what slides, and all of what it can stop."""
+    scene, mu, e = ts.Scene(dim=dim, gravity=(0.0,) * dim), (0.05, 0.2, 0.9), 0.6
+    scene.add_material("floor", restitution=e, friction=1.0)
+    scene.add_wall(vector(dim, 0.0, 1.0), 0.0, "floor")
+    down, along = 2.5, 1.9
+    for k, one in enumerate(mu):
+        scene.add_material(f"m{k}", restitution=e, friction=one**2)  # with the floor's: the geometric mean
+        scene.add_balls(
+            [vector(dim, k, 0.14)], radius=0.1, mass=0.7, velocity=vector(dim, along, -down), material=f"m{k}"
+        )
+    with simulate(scene, dt=1e-3, spin=False) as sim:
+        sim.step(40)
+        found = sim.velocity
+    for v, one in zip(found, mu):
+        expected = vector(dim, max(0.0, along - one * (1 + e) * down), e * down)
+        assert np.abs(v - expected).max() < (1e-12 if F64 else 1e-5) * down

@@ -85,6 +85,7 @@ def test_without_a_home(place):
         started(place, **home)
 
 
+@pytest.mark.slow_where(file=["home/.cache", "home/.cache/taichi"])
 @pytest.mark.parametrize("file", ["home", "home/.cache", "home/.cache/taichi", "home/.cache/taichi/ticache"])
 def test_a_file_in_place_of_the_cache(place, file):
     (place / file).parent.mkdir(parents=True, exist_ok=True)
@@ -106,6 +107,7 @@ as_root = pytest.mark.skipif(
 
 
 @as_root
+@pytest.mark.slow_where(home=["", "/"])
 @pytest.mark.parametrize("home", [None, "", "/", "/nonexistent"])
 def test_a_user_whom_nobody_knows(place, home):
     environment = {} if home is None else {"HOME": home}

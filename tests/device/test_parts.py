@@ -197,6 +197,7 @@ def test_a_run_whose_compilation_failed_is_right_once_it_is_mended(goes_on):
         np.testing.assert_allclose(sim.position[0], [0.5 * 0.3**2, 2 - 6 * 0.3**2], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_step_on_many_threads_compiles_the_search_for_contacts_once():
     """One kernel finds contacts and sums forces, in a step and before the first one."""
     scene = ts.Scene(dim=2, gravity=(0.0, -8.0))

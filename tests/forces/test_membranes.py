@@ -105,33 +105,6 @@ def test_a_modulus_and_a_thickness_make_an_isotropic_sheet_and_a_mesh_of_any_dir
     assert energy(other, turned + more) == pytest.approx(energy(scene, (turned + more)), rel=1e-9)
 
 
-def test_forces_are_the_derivatives_of_energy_and_dissipation():
-    scene, _ = irregular(disturbed=0.03, damping=0.02)
-    h, small, x, v = 1e-6 if F64 else 1e-3, 1e-6, scene.position, scene.velocity
-
-    def loss(v):
-        gradient = np.linalg.inv(
-            np.swapaxes(np.diff(scene.membrane_rest, axis=1, prepend=0)[:, 1:].cumsum(axis=1), 1, 2)
-        )
-        edges = [np.swapaxes(y[scene.membranes[:, 1:]] - y[scene.membranes[:, :1]], 1, 2) for y in (x, v)]
-        f, df = (e @ gradient for e in edges)
-        rate = np.stack([np.sum(f[..., a] * df[..., b], axis=1) for a, b in ((0, 0), (1, 1), (0, 1), (1, 0))], axis=1)
-        rate = np.stack([rate[:, 0], rate[:, 1], rate[:, 2] + rate[:, 3]], axis=1)
-        area = 0.5 / np.linalg.det(gradient)
-        return 0.5 * 0.02 * np.sum(area * np.einsum("ta,ab,tb->t", rate, MATRIX, rate))
-
-    want = np.zeros_like(x)
-    for at in np.ndindex(*x.shape):
-        step = np.zeros_like(x)
-        step[at] = small
-        want[at] = -(energy(scene, x + step) - energy(scene, x - step) + loss(v + step) - loss(v - step)) / (2 * small)
-    with simulate(scene, integrator="symplectic_euler", dt=h, contacts="off") as sim:
-        sim.step(1)
-        found = scene.mass[:, None] * (sim.velocity - v) / h
-        assert np.abs(found.sum(axis=0)).max() < (1e-8 if F64 else 1e-3) * np.abs(want).max()
-    assert np.abs(found - want).max() < (1e-7 if F64 else 1e-3) * np.abs(want).max()
-
-
 def test_patch_test():
     """An irregular sheet whose border is held where a homogeneous strain has it comes to that strain inside, exactly."""
     scene, exact = irregular(disturbed=0.05, held=True, damping=0.01)

@@ -42,6 +42,7 @@ def place(time: float) -> np.ndarray:
 
 
 @pytest.mark.slow_where(driver="fused")
+@pytest.mark.slow_where(method=["implicit_euler", "symplectic_euler"])
 @pytest.mark.parametrize("method", ["symplectic_euler", "verlet", "rk4", "implicit_euler"])
 @EACH_DRIVER
 def test_pins_follow_their_path(method, driver):

@@ -270,3 +270,34 @@ def test_what_an_element_joins_does_not_roll_like_casters():
     exact = rest + (1.0 - rest) * np.cos(4.0 * 0.15)
     assert found[0] == pytest.approx(found[1], abs=1e-5)
     assert found[0][1, 0] == pytest.approx(exact, abs=1e-4)
+
+
+@ti.data_oriented
+class Shaker:
+    """Force 3 N cos(9 t / s) along x on each ball."""
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i].x += h * 3.0 * ti.cos(9.0 * time)
+
+    def stiffness_rate(self, scene):
+        return 0.0
+
+
+@pytest.mark.skipif(not F64, reason="rounding hides the small steps")
+@pytest.mark.slow_where(method=["explicit_euler", "symplectic_euler", "implicit_euler", "xpbd"])
+@pytest.mark.parametrize("method", BUILT_IN_METHODS)
+def test_a_force_that_depends_on_time_leaves_each_method_its_order(method):
+    """A ball on a spring to a pin, shaken: x'' = -25 x + 1.5 cos(9 t), which is at rest at first."""
+    scene = ts.Scene(dim=2, gravity=(0.0, 0.0))
+    balls = scene.add_balls([[0.0, 0.0], [1.0, 0.0]], radius=0.01, mass=2.0, pinned=[0])
+    scene.add_springs([balls], stiffness=50.0, rest_length=1.0)
+    errors = []
+    for steps in (100, 200, 400):
+        with simulation(scene, [Shaker()], integrator=method, dt=0.8 / steps, substeps=1) as sim:
+            sim.step(steps)
+            exact = 1.5 / (25.0 - 81.0) * (np.cos(9.0 * 0.8) - np.cos(5.0 * 0.8))
+            errors.append(abs(sim.position[1, 0] - 1.0 - exact))
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert order == pytest.approx(BUILT_IN_METHODS[method].order, abs=0.15)

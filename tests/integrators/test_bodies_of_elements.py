@@ -66,6 +66,7 @@ def test_elements_join_their_free_balls_whichever_is_pinned():
     assert corner["entry"].tolist() == [0, 1, 2, 0]
 
 
+@pytest.mark.slow
 def test_compiling_says_nothing(capfd):
     scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
     ts.shapes.cloth(scene, (0.5, 0.4), (9, 7), position=(-0.25, 0.32, -0.2), damping=1e-3, warp=400.0, **FABRIC)

@@ -92,6 +92,7 @@ def test_richardson(order):
     assert error_from(at[0] - at[1], order) == pytest.approx(at[0])
 
 
+@pytest.mark.slow
 def test_the_delay_of_impacts_of_balls_is_said_to_be_left_out():
     """Both runs find the impact at the same place, 4 cm from where it should be: their difference is no error. Not where what
     bounces does so at the moment of touch."""
@@ -116,6 +117,7 @@ def stated_by_implicit_euler(dt):
     return np.array([summary.step_error.probes[name] for name in names]), np.abs(found - truth), summary.lines()
 
 
+@pytest.mark.once
 def test_a_method_of_first_order_states_what_it_is_off_or_that_this_is_not_known():
     """Two runs alone stated a third or a half of it at such steps, where the order of the method is not seen."""
     inside = known = 0
@@ -129,6 +131,7 @@ def test_a_method_of_first_order_states_what_it_is_off_or_that_this_is_not_known
     assert known > 0.5 * 3 * stated.size
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("dt", [4e-3, 2e-3, 1e-3])
 def test_springs_that_tear_get_a_third_run_and_all_true_errors_are_inside(dt):
     """Each tears somewhere within a step, and its weight falls from there: no order shows, or one by luck."""
@@ -244,6 +247,7 @@ def test_extremes_between_frames_are_not_included():
     assert not any("change: raise" in line for line in lines)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("method", "dt", "known"), [("xpbd", 4e-3, False), ("verlet", 1e-3, True)])
 def test_extremes_are_not_known_of_motion_that_all_runs_damp_away(method, dt, known):
     """A stiff pendulum let go from the side: its rod vibrates, which adds to the tension m g (3 - 2 cos a) of a rigid one."""

@@ -143,6 +143,7 @@ def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+@pytest.mark.slow
 def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch):
     """Of a simulation whose springs tear, in all formats at once; test_resume has each alone."""
     names = ["x.mp4", "x.npz", "x.csv", "x.pvd", "x.ply", "own", *OPTIONAL]

@@ -33,6 +33,7 @@ def middle(mask):
     return np.array([x.mean(), y.mean()]), len(x)
 
 
+@pytest.mark.slow_where(dim=3)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_mark_lies_on_the_ball_that_is_where_it_is_expected(dim):
     corners = [[-1.0, -1.0, 0.3], [1.2, 0.8, -0.6]]

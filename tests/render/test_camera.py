@@ -6,11 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from taichi_sim.kernels.render.shade import pixel_ray
 
 from taichi_sim import Frame, Scene, SceneError, Simulation
+from taichi_sim.device.engine import ti
 from taichi_sim.files.source import checked_output
 from taichi_sim.files.toml_reader import load_scene
 from taichi_sim.render import Camera, Renderer
+from taichi_sim.render.camera import view_matrix
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.scene.camera_path import CameraPath, eased
 
@@ -196,6 +199,7 @@ def test_a_bounce_does_not_jerk_and_jitter_does_not_show():
     assert np.diff(eyes, axis=0).std() < 0.15 * np.diff(noise, axis=0).std()
 
 
+@pytest.mark.slow
 def test_frames_that_are_not_drawn_count():
     """A resumed run shows what one that was not cut off does."""
     t = np.arange(30) / 10
@@ -419,3 +423,24 @@ def test_springs_keep_balls_in_the_picture():
         frame.springs = np.array([[k, k + 1] for k in range(67)], dtype=np.int32)
     camera = Camera.fit(frames, ASPECT)
     assert max(np.abs(on_screen(camera, frame)).max() for frame in frames) < 1
+
+
+@ti.kernel
+def rays(matrix: ti.types.matrix(4, 4, ti.f32), pixel: ti.types.ndarray(ndim=2), ray: ti.types.ndarray(ndim=2)):
+    for k in range(pixel.shape[0]):
+        found = pixel_ray(matrix, pixel[k, 0], pixel[k, 1])
+        for a in ti.static(range(3)):
+            ray[k, a] = found[a]
+
+
+def test_the_ray_of_a_pixel_goes_to_what_is_seen_there():
+    """Light is worked out along it, wherever spheres and triangles are drawn: both have to be the same place."""
+    rng = np.random.default_rng(6)
+    axes, eye, scale, centre = np.linalg.qr(rng.normal(size=(3, 3)))[0], np.array([0.4, -1.0, 2.0]), 130.0, (64.0, 48.0)
+    depth, aside = rng.uniform(1.0, 9.0, 20), rng.uniform(-0.5, 0.5, (20, 2))
+    points = eye + depth[:, None] * (axes[2] + aside @ axes[:2])
+    seen = (points - eye) @ axes.T
+    pixel = np.stack([centre[0] + scale * seen[:, 0] / seen[:, 2], centre[1] - scale * seen[:, 1] / seen[:, 2]], axis=1)
+    found = np.zeros((20, 3), dtype=np.float32)
+    rays(ti.Matrix(view_matrix(axes, eye, scale, centre)), pixel.astype(np.float32), found)
+    assert found * seen[:, 2:] == pytest.approx(points - eye, abs=1e-5)

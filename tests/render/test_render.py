@@ -146,6 +146,7 @@ def with_colliders(position, radius, *shapes):
     return balls(position, radius, colliders=placed)
 
 
+@pytest.mark.slow
 def test_a_surface_that_reaches_behind_the_eye_is_drawn_up_to_the_picture_edge():
     """Floors whose triangles have one and two corners behind the eye, at three turns: all below the horizon is theirs."""
     for turn in (0.0, 30.0, 77.0):
@@ -406,6 +407,7 @@ def test_a_ball_that_is_flung_away_takes_no_detail_from_shadows():
     np.testing.assert_array_equal(seen[0], seen[2])
 
 
+@pytest.mark.slow
 def test_a_collider_in_sight_has_a_shadow_where_balls_are_few():
     scene = Scene(dim=3)
     scene.add_balls([[0.6, 0.1, 0.3]], radius=0.05)
@@ -441,6 +443,7 @@ def test_what_tears_is_drawn_without_new_fields(dim):
         assert np.array_equal(renderer.render(frame(2, 1)), torn)
 
 
+@pytest.mark.slow_where(dim=3)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_a_renderer_goes_on_from_what_another_remembers(dim):
     """The camera follows, the light's box has grown, and a spring has torn."""

@@ -230,6 +230,7 @@ def upright(**more):
     return frame
 
 
+@pytest.mark.slow
 def test_stripes_and_checks_on_a_cloth():
     frame, dark = upright(), (0.0, 0.0, 0.0)
     seen = {}

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import shutil
 from dataclasses import fields, replace
 from itertools import pairwise
 
@@ -304,28 +305,30 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.parametrize(
-    ("name", "keep", "data"),
-    [
-        ("report.json", 0, b"rubbish"),
-        ("report.json", 0, b"[]"),
-        ("rows.jsonl", 0, b""),
-        ("rows.jsonl", 500, b""),
-        ("rows.jsonl", 500, b"\n"),
-        ("seeds.jsonl", 100, b"\n"),
-        ("budget.npz", 100, b""),
-        ("reference.npz", 0, b""),
-        ("reference.npz", 0, b"rubbish"),
-        ("reference.npz", 1000, b""),
-    ],
-)
-def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up, name, keep, data):
-    scene, folder, say = pair(), tmp_path / "r", lambda line: None
+DAMAGE = [  # file, bytes of it that are kept, and what follows them
+    ("report.json", 0, b"rubbish"),
+    ("report.json", 0, b"[]"),
+    ("rows.jsonl", 0, b""),
+    ("rows.jsonl", 500, b""),
+    ("rows.jsonl", 500, b"\n"),
+    ("seeds.jsonl", 100, b"\n"),
+    ("budget.npz", 100, b""),
+    ("reference.npz", 0, b""),
+    ("reference.npz", 0, b"rubbish"),
+    ("reference.npz", 1000, b""),
+]
+
+
+def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up):
+    scene, whole, folder, say = pair(), tmp_path / "whole", tmp_path / "r", lambda line: None
     made_up(scene, grows=15.0)
-    report.main(scene, plan(), folder, progress=False, say=say)
-    (folder / name).write_bytes((folder / name).read_bytes()[:keep] + data)
-    with pytest.raises(SceneError, match=rf"r/{name}: is damaged; use --overwrite or another --out"):
-        report.main(scene, plan(), folder, progress=False, say=say)
+    report.main(scene, plan(), whole, progress=False, say=say)
+    for name, keep, data in DAMAGE:
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(whole, folder)
+        (folder / name).write_bytes((folder / name).read_bytes()[:keep] + data)
+        with pytest.raises(SceneError, match=rf"r/{name}: is damaged; use --overwrite or another --out"):
+            report.main(scene, plan(), folder, progress=False, say=say)
     report.main(scene, plan(), folder, overwrite=True, progress=False, say=say)
 
 

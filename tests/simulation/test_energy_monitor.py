@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import taichi as ti
+from element_blocks import mesh
 from physics_support import F64, PRECISION, each_dim, simulate, vector
 
 import taichi_sim as ts
@@ -14,7 +15,6 @@ from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import stepper
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.state_probe import StateSample
-from tests.forces.test_solids import mesh
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -208,6 +208,7 @@ def test_a_swing_that_turns_around_at_rest_may_be_off_by_a_part_of_its_largest_e
     assert watch.judge(look(0.05, 0.0, 6.02)) == pytest.approx((6.000001, 6.07, True))
 
 
+@pytest.mark.slow
 def test_solver_of_implicit_methods_is_public():
     scene = net()
     with simulate(scene, integrator="tr_bdf2", dt=0.01, contacts="off") as sim:

@@ -11,8 +11,8 @@ from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
 
-QUICK = {"led_by_pins", "motors_verlet"}
-SLOWER = {"tearing_in_wind"}
+QUICK = {"motors_verlet"}
+SLOWER = {"tearing_in_wind", "led_by_pins"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]
     if name in QUICK

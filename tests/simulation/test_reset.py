@@ -209,6 +209,7 @@ def test_another_structure_is_refused_with_its_reason_and_nothing_has_changed(ch
             assert np.array_equal(whole.position, used.position)
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_a_change_of_settings_or_of_the_scheme_of_damping_is_named():
     def row(k=200.0, amplitude=0.2, **settings):

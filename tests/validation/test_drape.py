@@ -7,6 +7,7 @@ Source of what was measured: Matsudaira, Masuda, Wada, Yokura 2015, J. Textile E
 
 import numpy as np
 import pytest
+from drag import Drag
 from physics_support import F64, simulate
 
 import taichi_sim as ts
@@ -25,20 +26,17 @@ MEASURED = {  # gf cm^2/cm, mg/cm^2, drape coefficient
 
 @ti.data_oriented
 class Release:
-    """Force that bears the weight, less and less until RELEASE, and drag of 2/s."""
-
-    rate = 2.0
+    """Force that bears the weight, less and less until RELEASE."""
 
     @ti.func
     def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
         for i in range(model.n):
             w = model.inverse_mass[i]
             if w > 0.0:
-                impulse[i] += -h * self.rate / w * ball[i].v
                 impulse[i].y += h * G / w * ti.max(0.0, 1.0 - time / RELEASE)
 
     def damping_rate(self, scene):
-        return self.rate
+        return 0.0
 
 
 def disc(spacing):
@@ -107,7 +105,7 @@ def test_cusicks_drape():
     first = scene.position.copy()
     first[:, 1] += np.concatenate(lifts)
     method = ImplicitEuler(tolerance=1e-3)
-    with simulate(scene, integrator=method, dt=1 / 120, contacts="off", forces=[Release()]) as sim:
+    with simulate(scene, integrator=method, dt=1 / 120, contacts="off", forces=[Release(), Drag(2.0)]) as sim:
         sim.set_position(first)
         sim.run(RELEASE + 1.0)
         x = sim.position
