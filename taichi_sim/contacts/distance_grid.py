@@ -14,6 +14,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
+from taichi_sim.kernels.contacts.colliders import CUT
 from taichi_sim.scene.colliders import MESH, Collider
 from taichi_sim.scene.scene import Scene
 
@@ -22,26 +23,35 @@ __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 MOST_CORNERS = 1 << 24
 CORNER_BYTES = 32  # while a grid is made; what it keeps is less than half of that
 BORDER = 2  # cells around what comes near the mesh
-MOST_LEAVES = 32  # of a cell; where there are more the tree is faster
+FEW_TRIANGLES = 8  # in the list of a cell: where there are more it is cut into eight
+MOST_TRIANGLES = 32  # in that of a smallest cell: where there are more the tree is faster
+LEVELS = 2  # of cells, each half as wide as those before
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
 INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
 BETWEEN = 0.44  # of a cell: no place in one is farther from those that are looked at
+EIGHTHS = np.array([[2 * (k >> axis & 1) - 1 for axis in range(3)] for k in range(8)])  # directions of their centres
 ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 
 class DistanceGrid(NamedTuple):
     """Distances from a mesh on a grid: value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); exact
-    (nz, ny, nx): -1 where values interpolate well in the cell that begins there, else its number; of cells (c + 1, 2) with
-    numbers a triangle of the tree near it, and where those leaves of the tree begin among `leaves` that may hold the closest
-    one: none where these are many."""
+    (nz, ny, nx): -1 where values interpolate well in the cell that begins there, else its row in `cells` (c, 2). That has, with
+    its number, the begin in `listed` of the triangles of the tree that may be closest there, the closest to its centre first;
+    with CUT the first row of its eighths, x before y before z; with 0 a triangle near a cell for which the tree is asked."""
 
     value: NDArray[np.float64]
     exact: NDArray[np.int32]
     cells: NDArray[np.int64]
-    leaves: NDArray[np.int32]
+    listed: NDArray[np.int32]
     low: NDArray[np.float64]
     cell: float
     tree: TriangleTree
+
+    def cells_from(self, row: int, triangle: int, first: int) -> NDArray[np.int64]:
+        """Cells (c, 2) where rows, triangles and lists of other grids, so many, come before these."""
+        number = self.cells[:, 1]
+        before = np.where(number > 0, first, np.where(number == 0, triangle, row))
+        return np.stack([self.cells[:, 0] + before, number], axis=1)
 
 
 def layout(collider: Collider, reach: float) -> tuple[float, NDArray[np.int64]]:
@@ -105,16 +115,39 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     exact = np.full(shape, -1, np.int32)
     exact[tuple(at.T)] = np.arange(len(at))
     near = near[near >= 0]
-    given_cells = given(at[:, ::-1], np.int32), *tables, given(near, np.int32)
-    begin, leaves = given(np.zeros(len(at) + 1), np.int32), given(np.zeros(1), np.int32)
-    loops.list_leaves(*given_cells, begin, leaves, frame, MOST_LEAVES)
-    ti.sync()
-    first = np.concatenate([[0], np.cumsum(_on_host(begin)[:-1])])
-    begin, leaves = given(first, np.int32), given(np.zeros(max(1, first[-1])), np.int32)
-    loops.list_leaves(*given_cells, begin, leaves, frame, 0)
-    ti.sync()
-    cells = np.stack([np.append(near, 0), first], axis=1)
-    return DistanceGrid(value, exact, cells, _on_host(leaves), start, cell, tree)
+    centre = start - origin + cell * (at[:, ::-1] + 0.5)
+    cells, listed = _cells(centre, near, tables, frame, cell, given)
+    return DistanceGrid(value, exact, cells, listed, start, cell, tree)
+
+
+def _cells(
+    centre: NDArray, near: NDArray, tables: tuple, frame: Any, width: float, given: Any
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Cells and lists, see DistanceGrid, of cells with these centres (c, 3) and width [m], and a triangle near each."""
+    rows, lists = [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int32)]
+    begin, total = 0, len(near)  # of lists, of rows
+    for level in range(LEVELS):
+        if len(near) == 0:
+            break
+        part, last = 0.5**level, level + 1 == LEVELS
+        first, number = given(near, np.int32), given(np.zeros(len(near)), np.int32)
+        listed = given(np.zeros((len(near), MOST_TRIANGLES)), np.int32)
+        places = given(centre)
+        loops.list_triangles(places, *tables, first, number, listed, frame, part)
+        ti.sync()
+        near, number = _on_host(first), _on_host(number)
+        cut = (number > FEW_TRIANGLES) & (not last)
+        number = np.where(cut, CUT, np.where(number > MOST_TRIANGLES, 0, number))
+        length = np.maximum(number, 0)
+        own = np.where(
+            cut, total + 8 * (np.cumsum(cut) - 1), np.where(number == 0, near, begin + np.cumsum(length) - length)
+        )
+        rows.append(np.stack([own, number], axis=1))
+        lists.append(_on_host(listed)[np.arange(MOST_TRIANGLES) < number[:, None]])
+        begin, total = begin + length.sum(), total + 8 * int(cut.sum())
+        centre = (centre[cut][:, None] + 0.25 * part * width * EIGHTHS).reshape(-1, 3)
+        near = np.repeat(near[cut], 8)
+    return np.concatenate(rows), np.concatenate(lists)
 
 
 def _facing_out(
