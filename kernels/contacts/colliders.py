@@ -162,9 +162,10 @@ def mesh_distance(colliders: ti.template(), shape, p):
     row = colliders.exact[first]
     d, n = 0.0 * p[0], 0.0 * p
     if row >= 0:
-        begin, number = cell_of(colliders, row, inner - ti.cast(cell, float))
+        begin, number, centre = cell_of(colliders, row, inner - ti.cast(cell, float))
         if number > 0:
-            d, n = distance_by_list(colliders.triangle, colliders.listed, begin, begin + number, p)
+            out = (g - ti.cast(cell, float) - centre).norm() / shape.inverse_cell
+            d, n = distance_by_list(colliders.triangle, colliders.listed, colliders.away, begin, begin + number, p, out)
         else:
             box, link = ti.static(colliders.box, colliders.link)
             d, n, _ = signed_distance(box, link, colliders.triangle, shape.first_node, shape.last_node, begin, p)
@@ -177,12 +178,15 @@ def mesh_distance(colliders: ti.template(), shape, p):
 
 @ti.func
 def cell_of(colliders: ti.template(), row, part):
-    """Begin and number, see DistanceGrid, of the smallest cell at the parts (3) along the axes of the cell of this row."""
+    """Begin and number, see DistanceGrid, of the smallest cell at the parts (3) along the axes of the cell of this row, and the
+    parts where its centre is."""
+    centre, half = 0.0 * part + 0.5, 0.25
     while colliders.cell[2 * row + 1] == CUT:
-        upper = ti.min(ti.cast(2.0 * part, ti.i32), 1)
-        part = 2.0 * part - ti.cast(upper, float)
+        upper = ti.cast(part >= centre, ti.i32)
+        centre += half * (2.0 * ti.cast(upper, float) - 1.0)
+        half *= 0.5
         row = colliders.cell[2 * row] + upper[0] + 2 * upper[1] + 4 * upper[2]
-    return colliders.cell[2 * row], colliders.cell[2 * row + 1]
+    return colliders.cell[2 * row], colliders.cell[2 * row + 1], centre
 
 
 @ti.func

@@ -173,6 +173,16 @@ def find_inexact(
             near[k, j, i] = triangle_near
 
 
+@ti.func
+def insert(listed: ti.template(), away: ti.template(), c, number, t, d):
+    """Put triangle t at the distance d [m] into row c of so many, which are in the order of theirs."""
+    s = number
+    while s > 0 and away[c, ti.max(s - 1, 0)] > d:
+        listed[c, s], away[c, s] = listed[c, s - 1], away[c, s - 1]
+        s -= 1
+    listed[c, s], away[c, s] = t, d
+
+
 @ti.kernel
 def list_triangles(
     centre: ti.types.ndarray(ndim=2),
@@ -182,12 +192,13 @@ def list_triangles(
     near: ti.types.ndarray(ti.i32, 1),
     number: ti.types.ndarray(ti.i32, 1),
     listed: ti.types.ndarray(ti.i32, 2),
+    away: ti.types.ndarray(ndim=2),
     frame: ti.types.ndarray(ndim=1),
     part: float,
 ):
     """List the triangles (listed, one row a cell) that may be closest to some point of each cell, `part` of a cell of the grid
-    wide, around the places `centre` (c, 3) [m], and count them (number); where there is no room for all the row has a part of
-    them. near: a triangle that is not far from each place, which becomes its closest one and stands first."""
+    wide, around the places `centre` (c, 3) [m], in the order of their distances from these (away [m]), and count them (number);
+    where there is no room for all the row has a part of them. near: a triangle not far from each place; becomes the closest."""
     width = part * frame[3]
     for c in range(centre.shape[0]):
         p = point(centre, c)
@@ -195,15 +206,14 @@ def list_triangles(
         # from the place the closest triangle of a point at most half a diagonal away is at most two halves farther than d
         reach = (ti.abs(d) + 2.0 * HALF_DIAGONAL * width) * (1.0 + SLACK)
         near[c] = closest
-        listed[c, 0] = closest
-        found, k = 1, 0
+        found, k = 0, 0
         while k < link[0] and found <= listed.shape[1]:
             if is_within(box, k, p, reach * reach):
                 for t in range(link[3 * k + 1], link[3 * k + 2]):
                     r, _ = from_triangle(triangle, t, p)
-                    if t != closest and r.dot(r) < reach * reach:
+                    if r.dot(r) < reach * reach:
                         if found < listed.shape[1]:
-                            listed[c, found] = t
+                            insert(listed, away, c, found, t, r.norm())
                         found += 1
                 k += 1
             else:

@@ -76,13 +76,15 @@ def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.templa
 
 
 @ti.func
-def distance_by_list(triangle: ti.template(), listed: ti.template(), first, last, p):
+def distance_by_list(triangle: ti.template(), listed: ti.template(), away: ti.template(), first, last, p, out):
     """Signed distance [m] of p from the mesh, and the direction out of it, where only the triangles listed from `first` to before
-    `last` can be closest."""
+    `last` can be closest, in the order of their distances `away` [m] from a place that is `out` [m] from p."""
     closest = listed[first]
     r, feature = from_triangle(triangle, closest, p)
-    for e in range(first + 1, last):
+    e = first + 1
+    while e < last and away[e] < r.norm() + out:  # no triangle is nearer to p than that
         r, feature, closest = nearer(triangle, listed[e], p, r, feature, closest)
+        e += 1
     d, n = signed(triangle, closest, feature, r)
     return d, n
 

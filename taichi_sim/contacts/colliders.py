@@ -101,6 +101,7 @@ class Colliders:
             tables = (exact, cell, listed, link)
             # as in DistanceGrid, of all one behind the other: exact (nodes of grids), cell (2 cells), listed; link (3 nodes)
             self.exact, self.cell, self.listed, self.link = (fields.integers(np.concatenate(one)) for one in tables)
+            self.away = fields.reals(np.concatenate([g.away for g in grids]))  # m, as in DistanceGrid
             self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))  # m, (6 nodes)
             self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (30 triangles)
         self.shape = fields.table(columns, self.count, data)

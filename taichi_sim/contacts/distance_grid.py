@@ -26,6 +26,9 @@ BORDER = 2  # cells around what comes near the mesh
 FEW_TRIANGLES = 8  # in the list of a cell: where there are more it is cut into eight
 MOST_TRIANGLES = 32  # in that of a smallest cell: where there are more the tree is faster
 LEVELS = 2  # of cells, each half as wide as those before
+MOST_CUT = 1 << 16  # cells of a level, the most crowded ones: their lists take some 50 MB
+LIST_BYTES = 100  # of a corner, while there are fewer than eighths
+AT_ONCE = 1 << 15  # cells whose lists are made together
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
 INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
 BETWEEN = 0.44  # of a cell: no place in one is farther from those that are looked at
@@ -36,13 +39,15 @@ ROW_SHIFT = 1e-5  # of a cell, see `winding`
 class DistanceGrid(NamedTuple):
     """Distances from a mesh on a grid: value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); exact
     (nz, ny, nx): -1 where values interpolate well in the cell that begins there, else its row in `cells` (c, 2). That has, with
-    its number, the begin in `listed` of the triangles of the tree that may be closest there, the closest to its centre first;
-    with CUT the first row of its eighths, x before y before z; with 0 a triangle near a cell for which the tree is asked."""
+    its number, the begin in `listed` of the triangles of the tree that may be closest there, in the order of their distances
+    `away` [m] from its centre; with CUT the first row of its eighths, x before y before z; with 0 a triangle near it, and the
+    tree is asked."""
 
     value: NDArray[np.float64]
     exact: NDArray[np.int32]
     cells: NDArray[np.int64]
     listed: NDArray[np.int32]
+    away: NDArray[np.float64]
     low: NDArray[np.float64]
     cell: float
     tree: TriangleTree
@@ -116,38 +121,55 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     exact[tuple(at.T)] = np.arange(len(at))
     near = near[near >= 0]
     centre = start - origin + cell * (at[:, ::-1] + 0.5)
-    cells, listed = _cells(centre, near, tables, frame, cell, given)
-    return DistanceGrid(value, exact, cells, listed, start, cell, tree)
+    return DistanceGrid(value, exact, *_cells(centre, near, tables, frame, cell, given), start, cell, tree)
 
 
 def _cells(
     centre: NDArray, near: NDArray, tables: tuple, frame: Any, width: float, given: Any
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Cells and lists, see DistanceGrid, of cells with these centres (c, 3) and width [m], and a triangle near each."""
-    rows, lists = [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int32)]
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """Cells, lists and their distances, see DistanceGrid, of cells with these centres (c, 3) and width [m]. near: a triangle near
+    each."""
+    rows, lists, distances = [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int32)], [np.zeros(0)]
     begin, total = 0, len(near)  # of lists, of rows
     for level in range(LEVELS):
-        if len(near) == 0:
-            break
-        part, last = 0.5**level, level + 1 == LEVELS
-        first, number = given(near, np.int32), given(np.zeros(len(near)), np.int32)
-        listed = given(np.zeros((len(near), MOST_TRIANGLES)), np.int32)
-        places = given(centre)
-        loops.list_triangles(places, *tables, first, number, listed, frame, part)
-        ti.sync()
-        near, number = _on_host(first), _on_host(number)
-        cut = (number > FEW_TRIANGLES) & (not last)
-        number = np.where(cut, CUT, np.where(number > MOST_TRIANGLES, 0, number))
-        length = np.maximum(number, 0)
-        own = np.where(
-            cut, total + 8 * (np.cumsum(cut) - 1), np.where(number == 0, near, begin + np.cumsum(length) - length)
-        )
-        rows.append(np.stack([own, number], axis=1))
-        lists.append(_on_host(listed)[np.arange(MOST_TRIANGLES) < number[:, None]])
-        begin, total = begin + length.sum(), total + 8 * int(cut.sum())
+        part, few = 0.5**level, FEW_TRIANGLES
+        number, listed, away = _lists(centre, near, tables, frame, part, given)
+        if len(number) > MOST_CUT:
+            few = max(few, int(np.partition(number, -MOST_CUT - 1)[-MOST_CUT - 1]))
+        cut = (number > few) & (level + 1 < LEVELS)
+        length = np.where(number > MOST_TRIANGLES, 0, number)
+        kept = np.repeat(~cut, length)
+        lists.append(listed[kept])
+        distances.append(away[kept])
+        length[cut] = 0
+        first = np.where(length > 0, begin + np.cumsum(length) - length, near)
+        first[cut] = total + 8 * np.arange(cut.sum())
+        rows.append(np.stack([first, np.where(cut, CUT, length)], axis=1))
+        begin, total = begin + int(length.sum()), total + 8 * int(cut.sum())
         centre = (centre[cut][:, None] + 0.25 * part * width * EIGHTHS).reshape(-1, 3)
         near = np.repeat(near[cut], 8)
-    return np.concatenate(rows), np.concatenate(lists)
+    return np.concatenate(rows), np.concatenate(lists), np.concatenate(distances)
+
+
+def _lists(
+    centre: NDArray, near: NDArray, tables: tuple, frame: Any, part: float, given: Any
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
+    """Numbers of triangles, see loops.list_triangles, and, one cell after the other, those of cells with MOST_TRIANGLES or less,
+    and their distances [m]. Puts the closest ones into `near`."""
+    number, lists, distances = np.zeros(len(near), np.int32), [np.zeros(0, np.int32)], [np.zeros(0)]
+    for k in range(0, len(near), AT_ONCE):
+        some = slice(k, k + AT_ONCE)
+        room = np.zeros((len(near[some]), MOST_TRIANGLES))
+        listed, away, places = given(room, np.int32), given(room.copy()), given(centre[some])
+        closest, found = given(near[some], np.int32), given(number[some], np.int32)
+        loops.list_triangles(places, *tables, closest, found, listed, away, frame, part)
+        ti.sync()
+        near[some], number[some] = _on_host(closest), _on_host(found)
+        fits = (number[some] <= MOST_TRIANGLES)[:, None]
+        kept = fits & (np.arange(MOST_TRIANGLES) < number[some][:, None])
+        lists.append(_on_host(listed)[kept])
+        distances.append(_on_host(away)[kept].astype(np.float64))
+    return number, np.concatenate(lists), np.concatenate(distances)
 
 
 def _facing_out(
@@ -183,7 +205,8 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are. Raises SceneError where
     they do not fit into memory together."""
     integers = np.zeros(0, np.int32)
-    none = DistanceGrid(np.zeros((0, 0, 0)), integers, np.zeros((0, 2), np.int64), integers, np.zeros(3), 1.0, NO_TREE)
+    cells = np.zeros((0, 2), np.int64), integers, np.zeros(0)
+    none = DistanceGrid(np.zeros((0, 0, 0)), integers, *cells, np.zeros(3), 1.0, NO_TREE)
     if all(collider.kind != MESH for collider in scene.colliders):
         return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))
@@ -191,7 +214,8 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     need, free = 0, available()
     for k, collider in enumerate(scene.colliders):
         if collider.kind == MESH:
-            need += CORNER_BYTES * int(layout(collider, reach)[1].prod())
+            corners = int(layout(collider, reach)[1].prod())
+            need += CORNER_BYTES * corners + LIST_BYTES * min(corners, 8 * MOST_CUT)
             if need > free:
                 says = (
                     f"is not allowed; the grids of the meshes so far need {need / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB"

@@ -100,13 +100,15 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
     def measure_in_cells(
         triangle: ti.types.ndarray(),
         listed: ti.types.ndarray(ti.i32, 1),
+        away: ti.types.ndarray(),
         row: ti.types.ndarray(ti.i32, 2),
+        out: ti.types.ndarray(),
         p: ti.types.ndarray(),
         d: ti.types.ndarray(),
     ):
         for i in range(p.shape[0]):
             at = ti.Vector([p[i, 0], p[i, 1], p[i, 2]])
-            d[i], _ = distance_by_list(triangle, listed, row[i, 0], row[i, 0] + row[i, 1], at)
+            d[i], _ = distance_by_list(triangle, listed, away, row[i, 0], row[i, 0] + row[i, 1], at, out[i])
 
     angle = np.arange(14) * 2 * np.pi / 14
     out = [0.01, 0.01, 0.4, 0.41, 0.44, 0.43], [0.0, 0.02, 0.02, 0.5, 0.5, 0.0]
@@ -140,11 +142,22 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         eighth = row[:, 0] + upper @ [1, 2, 4]
         cut = row[:, 1] == CUT
         row[cut] = grid.cells[eighth[cut]]
-        assert np.sum(cut) > 50 and np.sum(~cut) > 50
-        listed, row = listed[row[:, 1] > 0], row[row[:, 1] > 0].astype(np.int32)
+        assert np.sum(cut) > 50
+        assert np.sum(~cut) > 50
+        centre = np.where(cut[:, None], 0.25 + 0.5 * upper, 0.5)
+        out = grid.cell * np.linalg.norm(at[listed] % 1.0 - centre, axis=1)
+        out, listed, row = out[row[:, 1] > 0], listed[row[:, 1] > 0], row[row[:, 1] > 0].astype(np.int32)
         assert len(listed) > 200
         few = np.zeros(len(listed), dtype=real)
-        measure_in_cells(tables[2], grid.listed, row, np.ascontiguousarray(p[listed], dtype=real), few)
+        measure_in_cells(
+            tables[2],
+            grid.listed,
+            grid.away.astype(real),
+            row,
+            out.astype(real),
+            np.ascontiguousarray(p[listed], dtype=real),
+            few,
+        )
         assert few == pytest.approx(expected[listed], abs=1e-12 if PRECISION == "f64" else 1e-6)
 
 
