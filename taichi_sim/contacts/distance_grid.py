@@ -74,6 +74,11 @@ def layout(collider: Collider, reach: float) -> tuple[float, NDArray[np.int64]]:
         cell *= 1.1
 
 
+def memory_of(corners: int) -> int:
+    """Bytes that a grid with so many corners takes while it is made, with the lists of its cells."""
+    return CORNER_BYTES * corners + LIST_BYTES * min(corners, 8 * MOST_CUT)
+
+
 def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGrid:
     """The grid of a mesh, see `layout`. finest [m]: diameter of the smallest ball."""
     cell, size = layout(collider, reach)
@@ -214,8 +219,7 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     need, free = 0, available()
     for k, collider in enumerate(scene.colliders):
         if collider.kind == MESH:
-            corners = int(layout(collider, reach)[1].prod())
-            need += CORNER_BYTES * corners + LIST_BYTES * min(corners, 8 * MOST_CUT)
+            need += memory_of(int(layout(collider, reach)[1].prod()))
             if need > free:
                 says = (
                     f"is not allowed; the grids of the meshes so far need {need / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB"
