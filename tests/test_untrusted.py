@@ -134,7 +134,7 @@ def test_grids_of_meshes_fit_into_memory_together(tmp_path, monkeypatch):
     written(tmp_path, OBJ, "m.obj")
     scene = ts.load_scene(written(tmp_path, HEAD + BALL + mesh * 3))
     corners = distance_grids(scene)[0].value.size
-    monkeypatch.setattr(distance_grid, "available", lambda: int(2.5 * distance_grid.CORNER_BYTES * corners))
+    monkeypatch.setattr(distance_grid, "available", lambda: int(2.5 * distance_grid.memory_of(corners)))
     with pytest.raises(ts.SceneError, match=r"line 17: colliders\[2\].resolution: 20 is not allowed; the grids"):
         distance_grids(scene)
 

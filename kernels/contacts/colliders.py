@@ -5,11 +5,13 @@ pose at its end. All distances are signed: negative inside the solid.
 """
 
 from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
-from taichi_sim.kernels.contacts.triangle_tree import distance_by_leaves, signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import distance_by_list, signed_distance
 from taichi_sim.kernels.trigonometry import sine_cosine
 from taichi_sim.kernels.vectors import lever
 
 from taichi_sim.device.engine import ti
+
+CUT = -1  # number of a cell that is cut into eight
 
 
 @ti.func
@@ -157,20 +159,34 @@ def mesh_distance(colliders: ti.template(), shape, p):
     inner = ti.max(ti.min(g, top), 0.0)
     cell = ti.min(ti.cast(ti.floor(inner), ti.i32), shape.cells - 2)
     first = shape.first + (cell[2] * shape.cells[1] + cell[1]) * shape.cells[0] + cell[0]
-    exact = colliders.exact[first]
+    row = colliders.exact[first]
     d, n = 0.0 * p[0], 0.0 * p
-    if exact >= 0:
-        box, link, triangle = ti.static(colliders.box, colliders.link, colliders.triangle)
-        near, begin, end = colliders.cell[2 * exact], colliders.cell[2 * exact + 1], colliders.cell[2 * exact + 3]
-        if begin < end:
-            d, n = distance_by_leaves(box, link, triangle, colliders.leaf, begin, end, near, p)
+    if row >= 0:
+        begin, number, centre = cell_of(colliders, row, inner - ti.cast(cell, float))
+        if number > 0:
+            out = (g - ti.cast(cell, float) - centre).norm() / shape.inverse_cell
+            d, n = distance_by_list(colliders.triangle, colliders.listed, colliders.away, begin, begin + number, p, out)
         else:
-            d, n, _ = signed_distance(box, link, triangle, shape.first_node, shape.last_node, near, p)
+            box, link = ti.static(colliders.box, colliders.link)
+            d, n, _ = signed_distance(box, link, colliders.triangle, shape.first_node, shape.last_node, begin, p)
     else:
         d, n = interpolated(
             colliders.grid, shape, first, inner - ti.cast(cell, float), (g - inner) / shape.inverse_cell
         )
     return d, n
+
+
+@ti.func
+def cell_of(colliders: ti.template(), row, part):
+    """Begin and number, see DistanceGrid, of the smallest cell at the parts (3) along the axes of the cell of this row, and the
+    parts where its centre is."""
+    centre, half = 0.0 * part + 0.5, 0.25
+    while colliders.cell[2 * row + 1] == CUT:
+        upper = ti.cast(part >= centre, ti.i32)
+        centre += half * (2.0 * ti.cast(upper, float) - 1.0)
+        half *= 0.5
+        row = colliders.cell[2 * row] + upper[0] + 2 * upper[1] + 4 * upper[2]
+    return colliders.cell[2 * row], colliders.cell[2 * row + 1], centre
 
 
 @ti.func

@@ -6,7 +6,7 @@ lowest corner of the grid [m], the width of a cell [m], by which part of it `win
 """
 
 from taichi_sim.kernels.contacts.closest_points import on_triangle
-from taichi_sim.kernels.contacts.triangle_tree import entry, signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import from_triangle, is_within, signed_distance
 
 from taichi_sim.device.engine import ti
 
@@ -173,36 +173,49 @@ def find_inexact(
             near[k, j, i] = triangle_near
 
 
+@ti.func
+def insert(listed: ti.template(), away: ti.template(), c, number, t, d):
+    """Put triangle t at the distance d [m] into row c of so many, which are in the order of theirs."""
+    s = number
+    while s > 0 and away[c, ti.max(s - 1, 0)] > d:
+        listed[c, s], away[c, s] = listed[c, s - 1], away[c, s - 1]
+        s -= 1
+    listed[c, s], away[c, s] = t, d
+
+
 @ti.kernel
-def list_leaves(
-    corner: ti.types.ndarray(ti.i32, 2),
+def list_triangles(
+    centre: ti.types.ndarray(ndim=2),
     box: ti.types.ndarray(ndim=1),
     link: ti.types.ndarray(ti.i32, 1),
     triangle: ti.types.ndarray(ndim=1),
     near: ti.types.ndarray(ti.i32, 1),
-    start: ti.types.ndarray(ti.i32, 1),
-    leaf: ti.types.ndarray(ti.i32, 1),
+    number: ti.types.ndarray(ti.i32, 1),
+    listed: ti.types.ndarray(ti.i32, 2),
+    away: ti.types.ndarray(ndim=2),
     frame: ti.types.ndarray(ndim=1),
-    most: int,
+    part: float,
 ):
-    """Count the leaves (start, one more than cells) that may hold the triangle closest to some point in each cell, whose lowest
-    corners (c, 3) are `corner`; 0 where there are more than `most`. With most = 0 write them (leaf) from `start` on instead."""
-    cell = frame[3]
-    for c in range(corner.shape[0]):
-        low = lowest(frame) + cell * ti.Vector([corner[c, 0], corner[c, 1], corner[c, 2]])
-        d, _, _ = signed_distance(box, link, triangle, 0, link[0], near[c], low + 0.5 * cell)
-        reach = (ti.abs(d) + HALF_DIAGONAL * cell) * (1.0 + SLACK)  # no point of the cell is farther from the mesh
+    """List the triangles (listed, one row a cell) that may be closest to some point of each cell, `part` of a cell of the grid
+    wide, around the places `centre` (c, 3) [m], in the order of their distances from these (away [m]), and count them (number);
+    where there is no room for all the row has a part of them. near: a triangle not far from each place; becomes the closest."""
+    width = part * frame[3]
+    for c in range(centre.shape[0]):
+        p = point(centre, c)
+        d, _, closest = signed_distance(box, link, triangle, 0, link[0], near[c], p)
+        # from the place the closest triangle of a point at most half a diagonal away is at most two halves farther than d
+        reach = (ti.abs(d) + 2.0 * HALF_DIAGONAL * width) * (1.0 + SLACK)
+        near[c] = closest
         found, k = 0, 0
-        room = ti.select(most > 0, most + 1, start[c + 1] - start[c])
-        while k < link[0] and found < room:
-            gap = ti.max(entry(box, 6 * k) - low - cell, low - entry(box, 6 * k + 3), 0.0)
-            if gap.dot(gap) < reach * reach:
-                if link[3 * k + 1] < link[3 * k + 2]:
-                    if most == 0:
-                        leaf[start[c] + found] = k
-                    found += 1
+        while k < link[0] and found <= listed.shape[1]:
+            if is_within(box, k, p, reach * reach):
+                for t in range(link[3 * k + 1], link[3 * k + 2]):
+                    r, _ = from_triangle(triangle, t, p)
+                    if r.dot(r) < reach * reach:
+                        if found < listed.shape[1]:
+                            insert(listed, away, c, found, t, r.norm())
+                        found += 1
                 k += 1
             else:
                 k = link[3 * k]
-        if most > 0:
-            start[c] = ti.select(found > most, 0, found)
+        number[c] = found

@@ -47,15 +47,13 @@ def is_within(box: ti.template(), k, p, square):
 
 
 @ti.func
-def nearest_of(link: ti.template(), triangle: ti.template(), k, p, r, feature, closest):
-    """The way to p from the closest of the triangles of node k and of the one known so far; its feature, and its number."""
-    best = r.dot(r)
-    for t in range(link[3 * k + 1], link[3 * k + 2]):
-        above = entry(triangle, WIDTH * t + 9).dot(p - entry(triangle, WIDTH * t))
-        if above * above < best:
-            q, on = from_triangle(triangle, t, p)
-            if q.dot(q) < best:
-                r, feature, best, closest = q, on, q.dot(q), t
+def nearer(triangle: ti.template(), t, p, r, feature, closest):
+    """The way to p from the closer one of triangle t and of the one known so far; its feature, and its number."""
+    above = entry(triangle, WIDTH * t + 9).dot(p - entry(triangle, WIDTH * t))
+    if above * above < r.dot(r):
+        q, on = from_triangle(triangle, t, p)
+        if q.dot(q) < r.dot(r):
+            r, feature, closest = q, on, t
     return r, feature, closest
 
 
@@ -68,7 +66,8 @@ def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.templa
     k = first
     while k < last:
         if is_within(box, k, p, r.dot(r)):
-            r, feature, closest = nearest_of(link, triangle, k, p, r, feature, closest)
+            for t in range(link[3 * k + 1], link[3 * k + 2]):
+                r, feature, closest = nearer(triangle, t, p, r, feature, closest)
             k += 1
         else:
             k = link[3 * k]
@@ -77,16 +76,15 @@ def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.templa
 
 
 @ti.func
-def distance_by_leaves(
-    box: ti.template(), link: ti.template(), triangle: ti.template(), leaf: ti.template(), first, last, near, p
-):
-    """Signed distance [m] of p from the mesh, and the direction out of it, where only the leaves listed from `first` to before
-    `last` can hold the closest triangle."""
-    r, feature = from_triangle(triangle, near, p)
-    closest = near
-    for e in range(first, last):
-        if is_within(box, leaf[e], p, r.dot(r)):
-            r, feature, closest = nearest_of(link, triangle, leaf[e], p, r, feature, closest)
+def distance_by_list(triangle: ti.template(), listed: ti.template(), away: ti.template(), first, last, p, out):
+    """Signed distance [m] of p from the mesh, and the direction out of it, where only the triangles listed from `first` to before
+    `last` can be closest, in the order of their distances `away` [m] from a place that is `out` [m] from p."""
+    closest = listed[first]
+    r, feature = from_triangle(triangle, closest, p)
+    e = first + 1
+    while e < last and away[e] < r.norm() + out:  # no triangle is nearer to p than that
+        r, feature, closest = nearer(triangle, listed[e], p, r, feature, closest)
+        e += 1
     d, n = signed(triangle, closest, feature, r)
     return d, n
 

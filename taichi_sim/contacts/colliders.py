@@ -90,18 +90,18 @@ class Colliders:
             # of the tree of each mesh
             data |= {"first_node": nodes[:-1], "last_node": nodes[1:]}
             columns |= {"first_node": ti.i32, "last_node": ti.i32}
-            cells, leaves = (
+            cells, lists = (
                 np.cumsum([0, *(len(part) for part in parts)])
-                for parts in ([g.cells for g in grids], [g.leaves for g in grids])
+                for parts in ([g.cells for g in grids], [g.listed for g in grids])
             )
             exact = [g.exact.ravel() + np.where(g.exact.ravel() < 0, 0, c) for g, c in zip(grids, cells)]
-            cell = [(g.cells + np.array([t, e])).ravel() for g, t, e in zip(grids, triangles, leaves)]
-            leaf = [g.leaves + k for g, k in zip(grids, nodes)]
+            cell = [g.cells_from(*first).ravel() for g, *first in zip(grids, cells, triangles, lists)]
+            listed = [g.listed + t for g, t in zip(grids, triangles)]
             link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
-            tables = (exact, cell, leaf, link)
-            # exact: number of the cell that begins at a node of the grid, -1 where distances are not taken from triangles;
-            # cell (2 for each): a triangle near it, its first in `leaf`: nodes that may hold the closest triangle; link (3 nodes)
-            self.exact, self.cell, self.leaf, self.link = (fields.integers(np.concatenate(one)) for one in tables)
+            tables = (exact, cell, listed, link)
+            # as in DistanceGrid, of all one behind the other: exact (nodes of grids), cell (2 cells), listed; link (3 nodes)
+            self.exact, self.cell, self.listed, self.link = (fields.integers(np.concatenate(one)) for one in tables)
+            self.away = fields.reals(np.concatenate([g.away for g in grids]))  # m, as in DistanceGrid
             self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))  # m, (6 nodes)
             self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (30 triangles)
         self.shape = fields.table(columns, self.count, data)

@@ -14,6 +14,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
+from taichi_sim.kernels.contacts.colliders import CUT
 from taichi_sim.scene.colliders import MESH, Collider
 from taichi_sim.scene.scene import Scene
 
@@ -22,26 +23,40 @@ __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]
 MOST_CORNERS = 1 << 24
 CORNER_BYTES = 32  # while a grid is made; what it keeps is less than half of that
 BORDER = 2  # cells around what comes near the mesh
-MOST_LEAVES = 32  # of a cell; where there are more the tree is faster
+FEW_TRIANGLES = 8  # in the list of a cell: where there are more it is cut into eight
+MOST_TRIANGLES = 32  # in that of a smallest cell: where there are more the tree is faster
+LEVELS = 2  # of cells, each half as wide as those before
+MOST_CUT = 1 << 16  # cells of a level, the most crowded ones: their lists take some 50 MB
+LIST_BYTES = 100  # of a corner, while there are fewer than eighths
+AT_ONCE = 1 << 15  # cells whose lists are made together
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
 INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
 BETWEEN = 0.44  # of a cell: no place in one is farther from those that are looked at
+EIGHTHS = np.array([[2 * (k >> axis & 1) - 1 for axis in range(3)] for k in range(8)])  # directions of their centres
 ROW_SHIFT = 1e-5  # of a cell, see `winding`
 
 
 class DistanceGrid(NamedTuple):
     """Distances from a mesh on a grid: value (nz, ny, nx) [m], negative inside, at low (3,) [m] + cell [m] x (i, j, k); exact
-    (nz, ny, nx): -1 where values interpolate well in the cell that begins there, else its number; of cells (c + 1, 2) with
-    numbers a triangle of the tree near it, and where those leaves of the tree begin among `leaves` that may hold the closest
-    one: none where these are many."""
+    (nz, ny, nx): -1 where values interpolate well in the cell that begins there, else its row in `cells` (c, 2). That has, with
+    its number, the begin in `listed` of the triangles of the tree that may be closest there, in the order of their distances
+    `away` [m] from its centre; with CUT the first row of its eighths, x before y before z; with 0 a triangle near it, and the
+    tree is asked."""
 
     value: NDArray[np.float64]
     exact: NDArray[np.int32]
     cells: NDArray[np.int64]
-    leaves: NDArray[np.int32]
+    listed: NDArray[np.int32]
+    away: NDArray[np.float64]
     low: NDArray[np.float64]
     cell: float
     tree: TriangleTree
+
+    def cells_from(self, row: int, triangle: int, first: int) -> NDArray[np.int64]:
+        """Cells (c, 2) where rows, triangles and lists of other grids, so many, come before these."""
+        number = self.cells[:, 1]
+        before = np.where(number > 0, first, np.where(number == 0, triangle, row))
+        return np.stack([self.cells[:, 0] + before, number], axis=1)
 
 
 def layout(collider: Collider, reach: float) -> tuple[float, NDArray[np.int64]]:
@@ -57,6 +72,11 @@ def layout(collider: Collider, reach: float) -> tuple[float, NDArray[np.int64]]:
         if size.prod() <= MOST_CORNERS:
             return cell, size
         cell *= 1.1
+
+
+def memory_of(corners: int) -> int:
+    """Bytes that a grid with so many corners takes while it is made, with the lists of its cells."""
+    return CORNER_BYTES * corners + LIST_BYTES * min(corners, 8 * MOST_CUT)
 
 
 def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGrid:
@@ -105,16 +125,56 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     exact = np.full(shape, -1, np.int32)
     exact[tuple(at.T)] = np.arange(len(at))
     near = near[near >= 0]
-    given_cells = given(at[:, ::-1], np.int32), *tables, given(near, np.int32)
-    begin, leaves = given(np.zeros(len(at) + 1), np.int32), given(np.zeros(1), np.int32)
-    loops.list_leaves(*given_cells, begin, leaves, frame, MOST_LEAVES)
-    ti.sync()
-    first = np.concatenate([[0], np.cumsum(_on_host(begin)[:-1])])
-    begin, leaves = given(first, np.int32), given(np.zeros(max(1, first[-1])), np.int32)
-    loops.list_leaves(*given_cells, begin, leaves, frame, 0)
-    ti.sync()
-    cells = np.stack([np.append(near, 0), first], axis=1)
-    return DistanceGrid(value, exact, cells, _on_host(leaves), start, cell, tree)
+    centre = start - origin + cell * (at[:, ::-1] + 0.5)
+    return DistanceGrid(value, exact, *_cells(centre, near, tables, frame, cell, given), start, cell, tree)
+
+
+def _cells(
+    centre: NDArray, near: NDArray, tables: tuple, frame: Any, width: float, given: Any
+) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float64]]:
+    """Cells, lists and their distances, see DistanceGrid, of cells with these centres (c, 3) and width [m]. near: a triangle near
+    each."""
+    rows, lists, distances = [np.zeros((0, 2), np.int64)], [np.zeros(0, np.int32)], [np.zeros(0)]
+    begin, total = 0, len(near)  # of lists, of rows
+    for level in range(LEVELS):
+        part, few = 0.5**level, FEW_TRIANGLES
+        number, listed, away = _lists(centre, near, tables, frame, part, given)
+        if len(number) > MOST_CUT:
+            few = max(few, int(np.partition(number, -MOST_CUT - 1)[-MOST_CUT - 1]))
+        cut = (number > few) & (level + 1 < LEVELS)
+        length = np.where(number > MOST_TRIANGLES, 0, number)
+        kept = np.repeat(~cut, length)
+        lists.append(listed[kept])
+        distances.append(away[kept])
+        length[cut] = 0
+        first = np.where(length > 0, begin + np.cumsum(length) - length, near)
+        first[cut] = total + 8 * np.arange(cut.sum())
+        rows.append(np.stack([first, np.where(cut, CUT, length)], axis=1))
+        begin, total = begin + int(length.sum()), total + 8 * int(cut.sum())
+        centre = (centre[cut][:, None] + 0.25 * part * width * EIGHTHS).reshape(-1, 3)
+        near = np.repeat(near[cut], 8)
+    return np.concatenate(rows), np.concatenate(lists), np.concatenate(distances)
+
+
+def _lists(
+    centre: NDArray, near: NDArray, tables: tuple, frame: Any, part: float, given: Any
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
+    """Numbers of triangles, see loops.list_triangles, and, one cell after the other, those of cells with MOST_TRIANGLES or less,
+    and their distances [m]. Puts the closest ones into `near`."""
+    number, lists, distances = np.zeros(len(near), np.int32), [np.zeros(0, np.int32)], [np.zeros(0)]
+    for k in range(0, len(near), AT_ONCE):
+        some = slice(k, k + AT_ONCE)
+        room = np.zeros((len(near[some]), MOST_TRIANGLES))
+        listed, away, places = given(room, np.int32), given(room.copy()), given(centre[some])
+        closest, found = given(near[some], np.int32), given(number[some], np.int32)
+        loops.list_triangles(places, *tables, closest, found, listed, away, frame, part)
+        ti.sync()
+        near[some], number[some] = _on_host(closest), _on_host(found)
+        fits = (number[some] <= MOST_TRIANGLES)[:, None]
+        kept = fits & (np.arange(MOST_TRIANGLES) < number[some][:, None])
+        lists.append(_on_host(listed)[kept])
+        distances.append(_on_host(away)[kept].astype(np.float64))
+    return number, np.concatenate(lists), np.concatenate(distances)
 
 
 def _facing_out(
@@ -150,7 +210,8 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     """One for each collider, empty for what is no mesh; to be made before the fields of a simulation are. Raises SceneError where
     they do not fit into memory together."""
     integers = np.zeros(0, np.int32)
-    none = DistanceGrid(np.zeros((0, 0, 0)), integers, np.zeros((0, 2), np.int64), integers, np.zeros(3), 1.0, NO_TREE)
+    cells = np.zeros((0, 2), np.int64), integers, np.zeros(0)
+    none = DistanceGrid(np.zeros((0, 0, 0)), integers, *cells, np.zeros(3), 1.0, NO_TREE)
     if all(collider.kind != MESH for collider in scene.colliders):
         return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))
@@ -158,7 +219,7 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     need, free = 0, available()
     for k, collider in enumerate(scene.colliders):
         if collider.kind == MESH:
-            need += CORNER_BYTES * int(layout(collider, reach)[1].prod())
+            need += memory_of(int(layout(collider, reach)[1].prod()))
             if need > free:
                 says = (
                     f"is not allowed; the grids of the meshes so far need {need / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB"

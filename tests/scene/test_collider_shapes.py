@@ -73,8 +73,10 @@ def test_the_grid_of_a_mesh_holds_the_exact_distances():
 
 def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
     """A spiky cup whose wall is thin, and apart from it a cube with a cubic hole, of which the surface of either part is given
-    the wrong way around or not: solid where its windings say so, as the plain distance has it. So do the leaves of a cell."""
-    from taichi_sim.kernels.contacts.triangle_tree import distance_by_leaves, signed_distance
+    the wrong way around or not: solid where its windings say so, as the plain distance has it. So do the lists of cells, which
+    hold all triangles that count in them: those of whole cells, and of eighths."""
+    from taichi_sim.kernels.contacts.colliders import CUT
+    from taichi_sim.kernels.contacts.triangle_tree import distance_by_list, signed_distance
 
     from taichi_sim.contacts.distance_grid import distance_grid
     from taichi_sim.device import backend
@@ -96,17 +98,17 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
 
     @ti.kernel
     def measure_in_cells(
-        box: ti.types.ndarray(),
-        link: ti.types.ndarray(ti.i32, 1),
         triangle: ti.types.ndarray(),
-        leaf: ti.types.ndarray(ti.i32, 1),
+        listed: ti.types.ndarray(ti.i32, 1),
+        away: ti.types.ndarray(),
         row: ti.types.ndarray(ti.i32, 2),
+        out: ti.types.ndarray(),
         p: ti.types.ndarray(),
         d: ti.types.ndarray(),
     ):
         for i in range(p.shape[0]):
             at = ti.Vector([p[i, 0], p[i, 1], p[i, 2]])
-            d[i], _ = distance_by_leaves(box, link, triangle, leaf, row[i, 1], row[i, 2], row[i, 0], at)
+            d[i], _ = distance_by_list(triangle, listed, away, row[i, 0], row[i, 0] + row[i, 1], at, out[i])
 
     angle = np.arange(14) * 2 * np.pi / 14
     out = [0.01, 0.01, 0.4, 0.41, 0.44, 0.43], [0.0, 0.02, 0.02, 0.5, 0.5, 0.0]
@@ -131,14 +133,31 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         expected = mesh.distance(p, 0.0)
         assert np.sum(expected < 0) > 100
         assert d == pytest.approx(expected, abs=1e-12 if PRECISION == "f64" else 1e-6)
-        i, j, k = np.floor((p - grid.low) / grid.cell).astype(int).T
-        cell = grid.exact[k, j, i]
-        row = np.stack([*grid.cells[cell].T, grid.cells[cell + 1, 1]], axis=1).astype(np.int32)
-        listed = (cell >= 0) & (row[:, 1] < row[:, 2])
-        assert listed.sum() > 100
-        few = np.zeros(listed.sum(), dtype=real)
-        places = np.ascontiguousarray(p[listed], dtype=real)
-        measure_in_cells(*tables, grid.leaves, row[listed], places, few)
+        at = (p - grid.low) / grid.cell
+        i, j, k = np.floor(at).astype(int).T
+        number = grid.exact[k, j, i]
+        listed = np.flatnonzero(number >= 0)
+        row = grid.cells[number[listed]]
+        upper = (at[listed] % 1.0 >= 0.5).astype(int)
+        eighth = row[:, 0] + upper @ [1, 2, 4]
+        cut = row[:, 1] == CUT
+        row[cut] = grid.cells[eighth[cut]]
+        assert np.sum(cut) > 50
+        assert np.sum(~cut) > 50
+        centre = np.where(cut[:, None], 0.25 + 0.5 * upper, 0.5)
+        out = grid.cell * np.linalg.norm(at[listed] % 1.0 - centre, axis=1)
+        out, listed, row = out[row[:, 1] > 0], listed[row[:, 1] > 0], row[row[:, 1] > 0].astype(np.int32)
+        assert len(listed) > 200
+        few = np.zeros(len(listed), dtype=real)
+        measure_in_cells(
+            tables[2],
+            grid.listed,
+            grid.away.astype(real),
+            row,
+            out.astype(real),
+            np.ascontiguousarray(p[listed], dtype=real),
+            few,
+        )
         assert few == pytest.approx(expected[listed], abs=1e-12 if PRECISION == "f64" else 1e-6)
 
 
