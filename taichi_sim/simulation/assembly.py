@@ -174,7 +174,8 @@ class Assembly:
         self.model.set_spinning(turning(scene, settings, forces))
         small = _is_small(scene)
         self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
-        self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
+        alone = small or backend.threads == 1  # nothing to gain from more threads
+        self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and alone))
         self.atomic = settings.accumulate == "atomic"
         self.parallel = settings.accumulate == "gather" or not (cpu or self.atomic)
         self.integrator = settings.integrator
@@ -202,7 +203,8 @@ class Assembly:
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         kind = Moments if settings.tolerance is None else SecondSolution
         self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
-        self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing)
+        size = scene.n_balls + scene.n_springs
+        self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing, size)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
@@ -323,7 +325,7 @@ class Assembly:
 
     def run(self, first: int, substeps: int, h: float, time: float) -> None:
         """Advance the fields by substeps number `first` on, of those from `time` on, where they were primed; all before have been
-        run. 0 substeps compile the fused driver; the parallel one compiles with its first."""
+        run. `prime` has compiled the fused driver; the parallel one compiles with its first substep."""
         if not self.driven:
             self.drivers.run(first, substeps, h, time, self.fused)
             return
