@@ -135,6 +135,7 @@ def test_one_thread_runs_large_scenes_fused_too(monkeypatch):
     scene.add_balls([[0.0, 0.15], [0.05, 0.45], [1.0, 0.2]], radius=0.02)
     scene.add_springs([(1, 2)], stiffness=40.0)
     monkeypatch.setattr(assembly, "FUSED_UP_TO", 0)
+    monkeypatch.setattr(assembly, "FUSED_WITH_SEARCH", 0)
     monkeypatch.setattr(drivers, "FUSED_WORK", 12)  # three substeps of four
     start, ends = backend.start, []
     for threads in (1, 2):
@@ -149,6 +150,27 @@ def test_one_thread_runs_large_scenes_fused_too(monkeypatch):
             assert launched == ([1, 3, 3, 3, 2] if threads == 1 else [])
             ends.append(sim.position)
     assert np.array_equal(*ends)
+
+
+def test_a_scene_that_looks_for_contacts_is_fused_up_to_a_larger_size(monkeypatch):
+    """Its substeps have more loops, which threads take long to begin."""
+    start = backend.start
+    monkeypatch.setattr(backend, "start", lambda *given: start(*given)._replace(threads=2))
+    monkeypatch.setattr(assembly, "FUSED_UP_TO", 4)
+
+    def driver(chain, limit, **settings):
+        scene = ts.Scene(dim=2)
+        scene.add_balls([[0.3 * k, 0.0] for k in range(4)], radius=0.1)
+        scene.add_springs([(0, 1), (1, 2), (2, 3), (0, 2), (1, 3), (0, 3)][: 6 if chain else 3], stiffness=40.0)
+        monkeypatch.setattr(assembly, "FUSED_WITH_SEARCH", limit)
+        with ts.Simulation(scene, dt=1e-3, arch="cpu", **settings) as sim:
+            return sim.kernels()[0]
+
+    fewest = 4 + 3 + 4 * assembly.SEARCHED
+    assert driver(False, fewest) == "driver.fused"
+    assert driver(False, fewest - 1) == "driver.parallel"
+    assert driver(False, fewest, contacts="off") == "driver.parallel"
+    assert driver(True, fewest + 3) == "driver.parallel"  # all joined by springs: none may touch
 
 
 @pytest.mark.skipif(not IS_KNOWN, reason="parts are inlined")
