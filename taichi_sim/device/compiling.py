@@ -20,9 +20,9 @@ __all__ = ["Expected", "count_time", "loaded", "seconds", "watched"]
 
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
 # Seconds that kernels take to compile at first, up to their first launch; each machine takes its own multiple. Scenes of unlike
-# kinds took 0.8 to 1.25 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D scenes, those of 2D take
-# a tenth; more pictures: of another scene of the process, which needs the larger ones anew; parallel pairs: what pairs take more
-# on many threads.
+# kinds took 0.8 to 1.25 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D scenes, those of 2D
+# take a tenth; more pictures: of another scene of the process, which needs the larger ones anew; parallel pairs: what pairs take
+# more on many threads.
 AT_FIRST = {
     "": 1.0,
     "pictures": 2.0,
