@@ -19,18 +19,23 @@ from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 __all__ = ["Expected", "count_time", "loaded", "seconds", "watched"]
 
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
-# Seconds that kernels take to compile at first, up to their first launch; each machine takes its own multiple. Eight scenes of
-# unlike kinds took 0.8 to 1.2 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D scenes, those of
-# 2D take a tenth; parallel pairs: what pairs take more on many threads.
+# Seconds that kernels take to compile at first, up to their first launch; each machine takes its own multiple. Scenes of unlike
+# kinds took 0.8 to 1.25 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D scenes, those of 2D
+# take a tenth; more pictures: of another scene of the process, which needs the larger ones anew; parallel pairs: what pairs take
+# more on many threads.
 AT_FIRST = {
     "": 1.0,
     "pictures": 2.0,
+    "more pictures": 1.3,
     "pairs": 2.6,
     "parallel pairs": 1.8,
     "triangles": 3.0,
     "sticks": 2.0,
     "colliders": 1.5,
     "cells": 0.4,
+    "bricks": 0.7,
+    "solids": 2.4,
+    "springs.motors": 0.3,
     "springs.damping": 0.8,
 }
 AT_FIRST |= dict.fromkeys(("integrator.implicit_euler", "integrator.tr_bdf2"), 1.9)
@@ -43,7 +48,7 @@ _spent = _in_compiler = 0.0
 _inside = False
 _hear: Callable[[], None] | None = None  # what `watched` was given
 _met: set[str] = set()  # scenes of this process: a second one like it compiles and loads nothing
-_drawn = False  # pictures of a 3D scene in this process: the next one's need no kernels of their own
+_drawn = False  # pictures of a 3D scene in this process
 
 
 def seconds() -> float:
@@ -178,9 +183,12 @@ class Expected:
 
     def _about(self) -> float:
         """Seconds that it takes at first on the machine that AT_FIRST is of."""
-        there = {"pictures"} if self._has_pictures else set()
-        parallel = ["parallel pairs"] if {"pairs", "driver.parallel"} <= set(self._names) else []
-        return sum(AT_FIRST.get(name, 0.0) for name in ["", *self._names, *parallel] if name not in there)
+        parts = {"", *self._names}
+        if self._has_pictures and "pictures" in parts:
+            parts ^= {"pictures", "more pictures"}
+        if {"pairs", "driver.parallel"} <= parts:
+            parts.add("parallel pairs")
+        return sum(AT_FIRST.get(part, 0.0) for part in sorted(parts))
 
     def spent(self) -> None:
         """Remember what the kernels took, when they are all there."""

@@ -13,6 +13,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 from taichi_sim.device.engine import IS_KNOWN, on_device, program, ti
+from taichi_sim.device.fast_launches import repeated
 
 __all__ = ["BOTH", "PRIME", "STEP", "Chain", "Launches", "Part", "run_parts"]
 
@@ -97,11 +98,17 @@ class Launches:
         self.kinds = tuple(kind for kind, _ in groups)
         self.groups = tuple(group for _, group in groups)
 
-    def run(self, role: int, number: int, h: float, time: float) -> None:
-        """All parts of a role, for substep `number` of those of h seconds from `time` on."""
-        for which, (roles, times) in enumerate(self.kinds):
-            for _ in range(times if roles & role else 0):
-                self._launch(which, role, number, h, time)
+    def run(self, role: int, first: int, h: float, time: float, steps: int = 1) -> None:
+        """All parts of a role, for so many substeps from number `first` on of those of h seconds from `time` on."""
+        turn = [which for which, (roles, times) in enumerate(self.kinds) for _ in range(times if roles & role else 0)]
+        for which in turn if steps else ():
+            self._launch(which, role, first, h, time)
+        if steps < 2:
+            return
+        again = [repeated(self._launch, 2, which, role, first, h, time) for which in turn]
+        for number in range(first + 1, first + steps):
+            for launch in again:
+                launch(number)
 
     @ti.kernel
     def _launch(self, which: ti.template(), role: int, number: int, h: float, time: float):

@@ -110,7 +110,9 @@ class Simulation(Strict):
     contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = _key("auto", "how contacts are solved")
     contact_iterations: PositiveInt | Literal["auto"] = _key("auto", "of each contact solve; more make contacts harder")
     accumulate: Literal["auto", "ordered", "gather", "atomic"] = _key("auto", "in which order impulses are added")
-    driver: Literal["auto", "fused", "parallel"] = _key("auto", "how steps are launched; auto: by size")
+    driver: Literal["auto", "fused", "parallel"] = _key(
+        "auto", "how steps are launched; auto: fused for small scenes and on one thread"
+    )
     spin: Literal["auto", True, False] = _key(
         "auto", "whether balls turn; auto: loose ones, where a material has friction"
     )

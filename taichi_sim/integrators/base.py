@@ -75,7 +75,8 @@ class Integrator:
         self.kicks_first = type(self).before_move is not Integrator.before_move
         self.allocate(fields)
         self.recipe = tuple(self._recipe())
-        self.launches = Launches(self.launched_parts if self.runs_from_host else self.recipe)
+        if self.runs_from_host:
+            self.launches = Launches(self.launched_parts)
 
     @property
     def runs_from_host(self) -> bool:

@@ -17,7 +17,7 @@ from taichi_sim.contacts.found_contacts import ContactParts
 from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.impulse_totals import Received
 from taichi_sim.contacts.pairs import LISTED_GAP, Pairs
-from taichi_sim.contacts.plan import plan_contacts, slowest_bounce
+from taichi_sim.contacts.plan import may_collide, plan_contacts, slowest_bounce
 from taichi_sim.contacts.statistics import ContactStatistics
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.triangles import TriangleContacts
@@ -52,7 +52,10 @@ from taichi_sim.simulation.step_doubling import SecondSolution
 
 __all__ = ["Assembly", "compensates"]
 
-FUSED_UP_TO = 20_000  # balls + springs; measured, see the benchmark notes
+# balls + springs and their like, up to which one thread is faster than two. A substep that looks for contacts has some fifty
+# parallel loops, which two threads take 1.2 ms to begin: a jelly of 24 000 takes 0.5 ms fused, 1.5 ms on two threads
+FUSED_UP_TO, FUSED_WITH_SEARCH = 20_000, 60_000
+SEARCHED = 2  # added for each ball there: 20 000 balls alone
 FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
 MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the most that lists of contacts may grow to
 GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
@@ -174,7 +177,7 @@ class Assembly:
         self.model.set_spinning(turning(scene, settings, forces))
         small = _is_small(scene)
         self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
-        self.fused = cpu and (settings.driver == "fused" or (settings.driver == "auto" and small))
+        self.fused = cpu and _is_serial(scene, settings, backend.threads)
         self.atomic = settings.accumulate == "atomic"
         self.parallel = settings.accumulate == "gather" or not (cpu or self.atomic)
         self.integrator = settings.integrator
@@ -202,7 +205,8 @@ class Assembly:
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         kind = Moments if settings.tolerance is None else SecondSolution
         self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
-        self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing)
+        size = scene.n_balls + scene.n_springs
+        self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing, size)
 
     def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
@@ -322,7 +326,7 @@ class Assembly:
 
     def run(self, first: int, substeps: int, h: float, time: float) -> None:
         """Advance the fields by substeps number `first` on, of those from `time` on, where they were primed; all before have been
-        run. 0 substeps compile the fused driver; the parallel one compiles with its first."""
+        run. `prime` has compiled the fused driver; the parallel one compiles with its first substep."""
         if not self.driven:
             self.drivers.run(first, substeps, h, time, self.fused)
             return
@@ -511,10 +515,26 @@ class Assembly:
         self.fields.free()
 
 
-def _is_small(scene: Scene) -> bool:
+def _size(scene: Scene) -> int:
+    """Work of a substep: balls and springs, and elements by what they take of these."""
     elements = 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes) + 16 * len(scene.bricks)
     elements += 8 * len(scene.solids)
-    return scene.n_balls + scene.n_springs + elements <= FUSED_UP_TO
+    return scene.n_balls + scene.n_springs + elements
+
+
+def _is_small(scene: Scene) -> bool:
+    return _size(scene) <= FUSED_UP_TO
+
+
+def _is_serial(scene: Scene, settings: Settings, threads: int) -> bool:
+    """True if a CPU runs the scene on one thread: where that was asked for, or more threads would gain nothing."""
+    if settings.driver != "auto":
+        return settings.driver == "fused"
+    if threads == 1 or _is_small(scene):
+        return True
+    if settings.contacts == "off" or _size(scene) + SEARCHED * scene.n_balls > FUSED_WITH_SEARCH:
+        return False
+    return may_collide(scene) or bool(scene.solid.any() or scene.collides.any())
 
 
 def compensates(scene: Scene, backend: Backend) -> bool:

@@ -68,7 +68,7 @@ class Simulation(Reader):
             differ up to tenfold; jacobi makes 4 to 8, more in larger scenes; both make at least 10 where surfaces collide. A
             restitution above 0.5 adds up to 12 to jacobi, and up to 4 to gauss_seidel where sticks or surfaces collide ("auto").
         accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
-        driver: "auto", "fused", "parallel" ("auto": by size).
+        driver: "auto", "fused", "parallel" ("auto": fused for small scenes and on one thread).
         spin: whether balls turn: True, False or "auto": loose ones, where a material has Coulomb friction.
         settle: bring the scene to rest first: True, or the tolerance of `settle` (False).
         forces: your own force objects.

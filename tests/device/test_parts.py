@@ -3,17 +3,21 @@
 import os
 import subprocess
 import sys
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.device import backend
+from taichi_sim.device import backend, parts
 from taichi_sim.device.engine import IS_KNOWN, ti
+from taichi_sim.device.fast_launches import by_engine
 from taichi_sim.device.parts import BOTH, PRIME, STEP, Chain, Launches, Part
 from taichi_sim.integrators.symplectic_euler import SymplecticEuler
 from taichi_sim.integrators.verlet import Verlet
+from taichi_sim.simulation import assembly, drivers
 
 pytestmark = pytest.mark.once
 
@@ -77,6 +81,96 @@ def test_parts_run_in_turn_by_their_roles():
     expected = 2.0 * (6.0 * (6.0 * 1.5 + 1.5)) - 0.25
     assert np.all(numbers.x.to_numpy() == expected)
     assert np.all(_chained() == expected)
+
+
+def test_substeps_launched_in_one_call_differ_in_their_number_alone():
+    """Whatever launches them; the first one of a call is launched by itself, and compiled."""
+    backend.start("cpu")
+    ends = []
+    for calls, watch in (
+        (((0, 1), (1, 1), (2, 1)), nullcontext),
+        (((0, 3), (3, 0)), nullcontext),
+        (((0, 3),), by_engine),
+    ):
+        numbers = Numbers()
+        numbers.x.fill(1.0)
+        with watch():
+            for first, steps in calls:
+                numbers.launches.run(STEP, first, 0.5, 0.25, steps)
+        ends.append(numbers.x.to_numpy()[0])
+    x = 1.0
+    for number in range(3):
+        x = 6.0 * (x + 0.5 + 0.25 + 0.5 * number)
+    assert ends == [x, x, x]
+
+
+@pytest.mark.skipif(not IS_KNOWN, reason="the engine launches")
+def test_a_launch_is_prepared_once_for_many_substeps(monkeypatch):
+    """Of a scene of the program's own parts, and with a force of the user's."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+    scene.add_balls([[0.0, 0.15], [0.05, 0.45]], radius=0.02)
+    scene.add_springs([(0, 1)], stiffness=40.0)
+    wind, prepared, repeated = Wind(), [], parts.repeated
+    wind.vector = ti.Vector([1.0, 0.0])
+
+    def prepare(*given):
+        prepared.append(repeated(*given))
+        return prepared[-1]
+
+    monkeypatch.setattr(parts, "repeated", prepare)
+    for forces in ([], [wind]):
+        with ts.Simulation(scene, dt=2e-3, driver="parallel", arch="cpu", forces=forces) as sim:
+            sim.step(1)
+            for steps in (1, 2, 20):
+                prepared.clear()
+                sim.step(steps)
+                assert (len(prepared) > 0) == (steps > 1)
+                assert len(prepared) <= len(sim.parts.drivers.launches.groups)
+                assert all(launch.__qualname__.startswith("_FastKernel") for launch in prepared)
+
+
+def test_one_thread_runs_large_scenes_fused_too(monkeypatch):
+    """Between launches of at most so much work the host hears of Ctrl-C; the bits are those of the other driver."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+    scene.add_balls([[0.0, 0.15], [0.05, 0.45], [1.0, 0.2]], radius=0.02)
+    scene.add_springs([(1, 2)], stiffness=40.0)
+    monkeypatch.setattr(assembly, "FUSED_UP_TO", 0)
+    monkeypatch.setattr(assembly, "FUSED_WITH_SEARCH", 0)
+    monkeypatch.setattr(drivers, "FUSED_WORK", 12)  # three substeps of four
+    start, ends = backend.start, []
+    for threads in (1, 2):
+        monkeypatch.setattr(backend, "start", lambda *given, n=threads: start(*given)._replace(threads=n))
+        with ts.Simulation(scene, dt=2e-3, arch="cpu") as sim:
+            assert sim.kernels()[0] == ("driver.fused" if threads == 1 else "driver.parallel")
+            launched, kernels = [], sim.parts.drivers
+            vars(kernels)["fused"] = partial(
+                lambda fused, heard, *given: heard.append(given[2]) or fused(*given), kernels.fused, launched
+            )
+            sim.step(11)
+            assert launched == ([1, 3, 3, 3, 2] if threads == 1 else [])
+            ends.append(sim.position)
+    assert np.array_equal(*ends)
+
+
+def test_a_scene_that_looks_for_contacts_is_fused_up_to_a_larger_size(monkeypatch):
+    """Its substeps have more loops, which threads take long to begin."""
+    start = backend.start
+    monkeypatch.setattr(backend, "start", lambda *given: start(*given)._replace(threads=2))
+    monkeypatch.setattr(assembly, "FUSED_UP_TO", 4)
+
+    def driver(chain, limit, **settings):
+        scene = ts.Scene(dim=2)
+        scene.add_balls([[0.3 * k, 0.0] for k in range(4)], radius=0.1)
+        scene.add_springs([(0, 1), (1, 2), (2, 3), (0, 2), (1, 3), (0, 3)][: 6 if chain else 3], stiffness=40.0)
+        monkeypatch.setattr(assembly, "FUSED_WITH_SEARCH", limit)
+        with ts.Simulation(scene, dt=1e-3, arch="cpu", **settings) as sim:
+            return sim.kernels()[0]
+
+    fewest = 4 + 3 + 4 * assembly.SEARCHED
+    assert driver(False, fewest) == "driver.fused"
+    assert driver(False, fewest - 1) == "driver.parallel"
+    assert driver(False, fewest, contacts="off") == "driver.parallel"
+    assert driver(True, fewest + 3) == "driver.parallel"  # all joined by springs: none may touch
 
 
 @pytest.mark.skipif(not IS_KNOWN, reason="parts are inlined")
@@ -209,7 +303,7 @@ def test_a_step_on_many_threads_compiles_the_search_for_contacts_once():
     with ts.Simulation(scene, dt=2e-3, driver="parallel", arch="cpu") as sim:
         sim.step(4)
         now = len(Launches._launch._primal.compiled_kernels) - before
-        assert 0 < now <= len(sim.parts.integrator.launches.groups)
+        assert 0 < now <= len(sim.parts.drivers.launches.groups)
 
 
 @pytest.mark.slow
@@ -226,7 +320,7 @@ def test_further_iterations_are_one_part_that_runs_often(contacts):
         with ts.Simulation(scene, dt=2e-3, driver=driver, arch="cpu", **settings) as sim:
             sim.step(40)
             ends[driver, iterations] = sim.position
-            kernels.append(len(sim.parts.integrator.launches.groups))
+            kernels.append(len(sim.parts.drivers.launches.groups))
     assert np.array_equal(ends["fused", 6], ends["parallel", 6])
     assert not np.array_equal(ends["parallel", 6], ends["parallel", 13])
     assert kernels[1] == kernels[2]

@@ -10,6 +10,7 @@ import trajectories
 from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
+from taichi_sim.device import parts
 
 QUICK = {"motors_verlet"}
 SLOWER = {"tearing_in_wind", "led_by_pins"}
@@ -133,6 +134,24 @@ def test_what_follows_depends_on_nothing_but_what_is_kept():
         assert trajectories.digest(sim) == one
 
 
+def interrupt_launch(patched, number):
+    """Let the launch of that number end as by Ctrl-C, of those from the second substep of a call on."""
+    repeated, launched = parts.repeated, []
+
+    def interrupted(*arguments):
+        launch = repeated(*arguments)
+
+        def one(value):
+            launched.append(value)
+            if len(launched) == number:
+                raise KeyboardInterrupt
+            launch(value)
+
+        return one
+
+    patched.setattr(parts, "repeated", interrupted)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("saves", [False, True])
 @pytest.mark.long_in("f64")
@@ -144,16 +163,8 @@ def test_an_interrupted_call_changes_nothing(saves, monkeypatch):
         whole = trajectories.whole(sim, start, 40)
         sim.resume(start)
         sim.step(10)
-        launch, launched = sim.parts.drivers.parallel, []
-
-        def interrupted(*arguments):
-            launched.append(arguments)
-            if len(launched) == 7:
-                raise KeyboardInterrupt
-            launch(*arguments)
-
         with monkeypatch.context() as patched:
-            patched.setattr(sim.parts.drivers, "parallel", interrupted, raising=False)
+            interrupt_launch(patched, 17)
             with pytest.raises(KeyboardInterrupt):
                 sim.step(10)
         assert sim.time == pytest.approx(10 * sim.dt)
@@ -169,12 +180,8 @@ def test_what_is_set_after_an_interrupted_call_stays(monkeypatch):
     scene, settings = trajectories.bits.crowd_gauss_seidel()
     with simulate(scene, ("ordered", "parallel"), **settings) as sim:
         sim.step(10)
-
-        def interrupted(*_):
-            raise KeyboardInterrupt
-
         with monkeypatch.context() as patched:
-            patched.setattr(sim.parts.drivers, "parallel", interrupted, raising=False)
+            interrupt_launch(patched, 1)
             with pytest.raises(KeyboardInterrupt):
                 sim.step(10)
         sim.set_position(scene.position)

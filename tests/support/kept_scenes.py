@@ -48,6 +48,47 @@ def _sticks():
     return scene
 
 
+def _fabric():
+    return _sheet(warp=300.0, weft=120.0, shear=40.0, coupling=70.0)
+
+
+def _body(**more):
+    """A jelly of a material, of `bricks`, or of solids where its boxes are filled with tetrahedra."""
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.0, 0.0))
+    given = {"size": (0.4, 0.4, 0.4), "resolution": (3, 3, 3), "density": 300.0, "young_modulus": 2e4}
+    ts.shapes.jelly(scene, position=(0, 0.3, 0), **given, **more)
+    scene.add_wall((0, 1, 0))
+    return scene
+
+
+def _solids():
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.0, 0.0))
+    balls = scene.add_balls([[0, 1, 0], [0.2, 1, 0], [0, 1.2, 0], [0, 1, 0.2]], radius=0.02, mass=0.1)
+    scene.add_solids([balls], young_modulus=2e4, poisson_ratio=0.3)
+    scene.add_wall((0, 1, 0))
+    return scene
+
+
+def _letters():
+    scene = ts.Scene(dim=2, gravity=(0.0, -9.0))
+    ts.shapes.text(scene, "I", height=0.4, position=(0, 0.3))
+    scene.add_wall((0, 1))
+    return scene
+
+
+def _shell():
+    scene = _heap3()
+    corners = [[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    scene.add_collider(ts.Mesh((corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])))
+    return scene
+
+
+def _heap3():
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.0, 0.0))
+    scene.add_balls([[0.0, 0.3, 0.0], [0.1, 0.6, 0.0]], radius=0.14)
+    return scene
+
+
 SCENES = {
     "heap": (_heap, {}),
     "sheet": (_sheet, {"driver": "parallel"}),
@@ -61,6 +102,13 @@ SCENES = {
     "implicit sheet": (_sheet, {"integrator": "implicit_euler", "dt": 4e-3}),
     "implicit sheet on threads": (_sheet, {"integrator": "tr_bdf2", "dt": 4e-3, "driver": "parallel"}),
     "xpbd": (_sheet, {"integrator": "xpbd"}),
+    "fabric": (_fabric, {}),
+    "implicit fabric": (_fabric, {"integrator": "implicit_euler", "dt": 4e-3}),
+    "body of bricks": (_body, {}),
+    "implicit body": (_body, {"integrator": "tr_bdf2", "dt": 4e-3}),
+    "solids": (_solids, {}),
+    "letters": (_letters, {}),
+    "mesh collider": (_shell, {}),
     "rk4": (_heap, {"integrator": "rk4", "spin": False}),
 }
 
