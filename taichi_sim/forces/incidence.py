@@ -20,7 +20,8 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 class Corners:
     """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
     the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
-    see kernels.loops.list_entry. derivatives: 1 where the energy is of strains, 2 where it is of curvatures. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
+    see kernels.loops.list_entry. derivatives: 1 where the energy is of strains, 2 where it is of curvatures. `gone` (r), where
+    springs can tear: rows whose element has lost a side, see forces.tearing.
 
     Elements that give `corner_product`, `corner_block` and `corner_energy` are implicit in implicit methods: a stage of s seconds
     that ends at places x = p + s v minimises sum m |q - v|^2 / 2 + W(x) + s R(x, v), W the energy and R half of the power that

@@ -1,7 +1,7 @@
-"""Levels of a graph: aggregates of neighbouring nodes, then aggregates of these, and smooth weights from each level to the next.
+"""Levels of a graph: aggregates of neighbouring nodes, aggregates of these, and so on, with smooth weights between levels.
 
-A node's function is 1 in the middle of its aggregate and falls to 0 over the neighbouring ones (smoothed aggregation; Vanek, Mandel,
-Brezina 1996). Weights depend on the graph alone, not on stiffnesses or places.
+A node's function is 1 in the middle of its aggregate and falls to 0 over the neighbouring ones (smoothed aggregation; Vanek,
+Mandel, Brezina 1996). Weights depend on the graph alone, not on stiffnesses or places.
 """
 
 from collections.abc import Sequence
@@ -38,9 +38,9 @@ def levels_of(
 ) -> list[Level]:
     """Levels above the nodes of a graph, the finest first.
 
-    edges: (m, 2), each between nodes of one body, repeated where it counts more; held: (n,) number of edges from each node to what
-    does not move; mass, body: (n,) of each node; orders: of the derivatives that energies have, 1 or 2. No weight of a body
-    depends on another one.
+    edges: (m, 2), each between nodes of one body, repeated where it counts more; held: (n,) number of edges from each node to
+    what does not move; mass, body: (n,) of each node; orders: of the derivatives that energies have, 1 or 2. No weight of a
+    body depends on another body.
     """
     from scipy.sparse import coo_array, diags_array
 
@@ -49,7 +49,8 @@ def levels_of(
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n)).tocsr()
     laplacian = (diags_array(graph.sum(axis=1) + held) - graph).tocsr()
     energies = [laplacian if order == 1 else laplacian @ laplacian for order in orders]
-    inertia, levels = diags_array(mass).tocsr(), []
+    inertia = diags_array(mass).tocsr()
+    levels: list[Level] = []
     while True:
         label, owner = _aggregates(laplacian, body)
         if len(owner) == 0:
@@ -73,6 +74,12 @@ def _above_zero(values: NDArray) -> NDArray[np.float64]:
     return np.where(values > 0.0, values, 1.0)
 
 
+def _drop_below(matrix: Any, least: float) -> None:
+    """Take entries of a smaller size out of a sparse matrix."""
+    matrix.data[np.abs(matrix.data) < least] = 0.0
+    matrix.eliminate_zeros()
+
+
 def _smoothed(laplacian: Any, label: NDArray, count: int) -> Any:
     """Weights (n, count) of the nodes in the aggregates that `label` gives, -1 for none, and in their neighbours."""
     from scipy.sparse import coo_array, diags_array
@@ -81,8 +88,7 @@ def _smoothed(laplacian: Any, label: NDArray, count: int) -> Any:
     whole = coo_array((np.ones(len(row)), (row, label[row])), shape=(len(label), count)).tocsr()
     weight = (whole - diags_array(SMOOTHING / _above_zero(laplacian.diagonal())) @ (laplacian @ whole)).tocsr()
     total = weight.sum(axis=1)
-    weight.data[np.abs(weight.data) < LEAST_WEIGHT] = 0.0
-    weight.eliminate_zeros()
+    _drop_below(weight, LEAST_WEIGHT)
     return (diags_array(total / _above_zero(weight.sum(axis=1))) @ weight).tocsr()
 
 
@@ -105,10 +111,8 @@ def _neighbours(laplacian: Any) -> Any:
 
     scale = diags_array(1.0 / np.sqrt(_above_zero(laplacian.diagonal())))
     graph = abs(scale @ laplacian @ scale).tocsr()
-    graph.data[graph.data < LEAST_BOND] = 0.0
-    graph = (graph + eye_array(len(laplacian.diagonal()))).tocsr()
-    graph.eliminate_zeros()
-    return graph
+    _drop_below(graph, LEAST_BOND)
+    return (graph + eye_array(graph.shape[0])).tocsr()
 
 
 def _roots(graph: Any, body: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -5,9 +5,9 @@ are balls across. Levels of ever larger aggregates see that (additive multilevel
 
     z = D^-1 r + sum_l P_l D_l^-1 P_l^T r,
 
-P_l the smooth functions of the nodes of level l, see geometry.aggregation, D_l the blocks of the diagonal of P_l^T A P_l. What balls
-have of A by strains enters D_l summed with weights squared, times how much less a node's function changes than one of a single
-ball does; likewise what they have by curvatures. So no element is asked for more than its blocks. Functions depend on the mesh
+P_l the smooth functions of the nodes of level l, see geometry.aggregation, D_l about the blocks of the diagonal of P_l^T A P_l:
+the blocks of A that balls have by strains, summed with weights squared, times how much less a node's function changes than those
+of single balls; likewise those by curvatures. So no element is asked for more than its blocks. Functions depend on the mesh
 alone, and torn springs drop out of the blocks. No node has balls of two bodies.
 """
 
@@ -33,9 +33,10 @@ NEGATIVE_ROUNDING = 8.0  # of a block by its trace, in units of the machine's
 class Levels:
     """Levels above the free balls of a scene's bodies. elements: a StageElements, or None.
 
-    Points are the balls, then the nodes of all levels, the finest first. Fields: `below`, the points that a node has a weight of,
-    from first_below[node] to first_below[node + 1]; `above`, the nodes that have one of a point; `stiff`, `curved` (points): parts
-    of blocks by strains and by curvatures [kg]; `inverse`, `answer` (nodes): of blocks, and what they make of a residual.
+    Points are the balls, then the nodes of all levels, the finest first; ends[l] is the first node of level l. Fields: `below`,
+    the points that a node has a weight of, from first_below[node] to first_below[node + 1]; `above`, the nodes that have one of a
+    point; `stiff`, `curved` (points): parts of blocks by strains and by curvatures [kg]; `inverse`, `answer` (nodes): of blocks,
+    and what they make of a residual.
     """
 
     def __init__(self, model: Model, bodies: Bodies, elements: Any, fields: Fields) -> None:
@@ -157,12 +158,15 @@ class Levels:
 
 def _levels(taken: NDArray, edges: NDArray, mass: NDArray, body: NDArray, orders: tuple[int, ...]) -> list[Any]:
     """Levels above the balls `taken`; edges (m, 2) between any balls."""
+    if len(taken) == 0:
+        return []
     number = np.full(len(mass), -1)
     number[taken] = np.arange(len(taken))
     ends = number[edges]
-    among, held = ends[(ends >= 0).all(axis=1) & (ends[:, 0] != ends[:, 1])], ends[(ends >= 0).sum(axis=1) == 1]
-    held = np.bincount(held.max(axis=1, initial=0), minlength=len(taken)) if len(taken) else held
-    return levels_of(among, held, mass[taken], body[taken], orders) if len(taken) else []
+    known = (ends >= 0).sum(axis=1)
+    held = np.bincount(ends[known == 1].max(axis=1), minlength=len(taken))
+    among = ends[(known == 2) & (ends[:, 0] != ends[:, 1])]
+    return levels_of(among, held, mass[taken], body[taken], orders)
 
 
 def _entries(levels: list[Any], taken: NDArray, n: int) -> tuple[NDArray, NDArray, NDArray]:
