@@ -23,8 +23,8 @@ class Level(NamedTuple):
     """One level above another one.
 
     Attributes: `weight`, a sparse matrix (nodes below, nodes); `body`, `mass` (nodes,): the body of each, and the mass that its
-    function moves; `shares` (orders, nodes): the stiffness of each by the sum of those below, times its weights squared, when an
-    energy has derivatives of that order.
+    function moves; `shares` (orders, nodes): what its function has of an energy with derivatives of that order, over the sum of
+    what nodes below have by themselves, times weights squared. That of order 0 is of masses, and no other is larger.
     """
 
     weight: Any
@@ -39,8 +39,8 @@ def levels_of(
     """Levels above the nodes of a graph, the finest first.
 
     edges: (m, 2), each between nodes of one body, repeated where it counts more; held: (n,) number of edges from each node to
-    what does not move; mass, body: (n,) of each node; orders: of the derivatives that energies have, 1 or 2. No weight of a
-    body depends on another body.
+    what does not move; mass, body: (n,) of each node; orders: of the derivatives that energies have, 0, 1 or 2. No weight of
+    a body depends on another body.
     """
     from scipy.sparse import coo_array, diags_array
 
@@ -48,8 +48,8 @@ def levels_of(
     ends = np.concatenate([edges, edges[:, ::-1]])
     graph = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n)).tocsr()
     laplacian = (diags_array(graph.sum(axis=1) + held) - graph).tocsr()
-    energies = [laplacian if order == 1 else laplacian @ laplacian for order in orders]
     inertia = diags_array(mass).tocsr()
+    energies = [(inertia, laplacian, laplacian @ laplacian)[order] for order in orders]
     levels: list[Level] = []
     while True:
         label, owner = _aggregates(laplacian, body)
@@ -58,7 +58,8 @@ def levels_of(
         weight = _smoothed(laplacian, label, len(owner))
         squares = weight.multiply(weight).T.tocsr()
         shares = [_diagonal(weight, energy) / _above_zero(squares @ energy.diagonal()) for energy in energies]
-        levels.append(Level(weight, owner, _diagonal(weight, inertia), [np.maximum(0.0, one) for one in shares]))
+        shares = [np.clip(share, 0.0, shares[0]) for share in shares]
+        levels.append(Level(weight, owner, _diagonal(weight, inertia), shares))
         laplacian, inertia, *energies = (
             (weight.T @ one @ weight).tocsr() for one in (laplacian, inertia, *energies)
         )  # fmt: skip

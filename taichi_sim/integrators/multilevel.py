@@ -3,12 +3,13 @@
 A block of the diagonal sees a ball and its neighbours, so that what moves many balls together takes as many iterations as there
 are balls across. Levels of ever larger aggregates see that (additive multilevel; Bramble, Pasciak, Xu 1990):
 
-    z = D^-1 r + sum_l P_l D_l^-1 P_l^T r,
+    z = D^-1 r + sum_l P_l (D_l^-1 - E_l^-1) P_l^T r,
 
 P_l the smooth functions of the nodes of level l, see geometry.aggregation, D_l about the blocks of the diagonal of P_l^T A P_l:
 the blocks of A that balls have by strains, summed with weights squared, times how much less a node's function changes than those
-of single balls; likewise those by curvatures. So no element is asked for more than its blocks. Functions depend on the mesh
-alone, and torn springs drop out of the blocks. No node has balls of two bodies.
+of single balls; likewise those by curvatures. E_l has the same sums without that factor: what the level below makes of such a
+function, so that nothing counts twice where masses are most of A. No element is asked for more than its blocks. Functions depend
+on the mesh alone, and torn springs drop out of the blocks. No node has balls of two bodies.
 """
 
 from typing import Any
@@ -35,8 +36,8 @@ class Levels:
 
     Points are the balls, then the nodes of all levels, the finest first; ends[l] is the first node of level l. Fields: `below`,
     the points that a node has a weight of, from first_below[node] to first_below[node + 1]; `above`, the nodes that have one of a
-    point; `stiff`, `curved` (points): parts of blocks by strains and by curvatures [kg]; `inverse`, `answer` (nodes): of blocks,
-    and what they make of a residual.
+    point; `stiff`, `curved` (points): parts of blocks by strains and by curvatures [kg]; `inverse`, `answer` (nodes): D_l^-1 -
+    E_l^-1, and what that makes of a residual.
     """
 
     def __init__(self, model: Model, bodies: Bodies, elements: Any, fields: Fields) -> None:
@@ -46,7 +47,7 @@ class Levels:
         taken = np.flatnonzero(~scene.pinned & large[bodies.body])
         self.has_curvature = elements is not None and elements.has_curvature
         edges = scene.pairs if elements is None else np.concatenate([scene.pairs, elements.edges()])
-        levels = _levels(taken, edges, scene.mass, bodies.body, (1, 2) if self.has_curvature else (1,))
+        levels = _levels(taken, edges, scene.mass, bodies.body, (0, 1, 2) if self.has_curvature else (0, 1))
         self.active = len(levels) > 0
         self.ends = tuple(np.cumsum([0, *(len(level.body) for level in levels)]).tolist())
         self.count = self.ends[-1]
@@ -58,10 +59,10 @@ class Levels:
         self.body = fields.integers(np.concatenate([level.body for level in levels]))
         self.mass = fields.reals(np.concatenate([level.mass for level in levels]))
         shares = [np.concatenate(share) for share in zip(*(level.shares for level in levels))]
-        self.share = fields.reals(shares[0])
+        self.mass_share, self.share = fields.reals(shares[0]), fields.reals(shares[1])
         self.stiff = fields.matrices(self.n + self.count, self.dim)
         if self.has_curvature:
-            self.curved_share = fields.reals(shares[1])
+            self.curved_share = fields.reals(shares[2])
             self.curved = fields.matrices(self.n + self.count, self.dim)
         self.inverse = fields.matrices(self.count, self.dim)
         self.answer = fields.vectors(self.count, self.dim)
@@ -104,29 +105,34 @@ class Levels:
 
     @ti.func
     def factor(self, solver: ti.template()):
-        """Inverse blocks of the nodes of each body of which solver.begins(body) is true, from what is noted of balls."""
+        """`inverse` of the nodes of each body of which solver.begins(body) is true, from what is noted of balls."""
         self._climb(self._condense, (solver,))
 
     @ti.func
     def _condense(self, c, solver: ti.template()):
         if solver.begins(self.body[c]):
-            block = self._condensed(self.stiff, self.share[c], c)
+            block = self._sum_below(self.stiff, c)
+            own = self.share[c] * block
+            self.stiff[self.n + c] = own
             if ti.static(self.has_curvature):
-                block += self._condensed(self.curved, self.curved_share[c], c)
-            # positive semidefinite but for rounding
-            mass = self.mass[c] + self.rounding * block.trace()
-            whole = ti.cast(block + mass * ti.Matrix.identity(float, self.dim), self.wide)
-            self.inverse[c] = ti.cast(whole.inverse(), float)
+                curved = self._sum_below(self.curved, c)
+                block += curved
+                curved *= self.curved_share[c]
+                self.curved[self.n + c] = curved
+                own += curved
+            block *= self.mass_share[c]
+            # blocks are positive semidefinite but for rounding
+            mass = (self.mass[c] + self.rounding * block.trace()) * ti.Matrix.identity(float, self.dim)
+            inverse = ti.cast(own + mass, self.wide).inverse() - ti.cast(block + mass, self.wide).inverse()
+            self.inverse[c] = ti.cast(inverse, float)
 
     @ti.func
-    def _condensed(self, part: ti.template(), share, c):
-        """Part of the block of node c, which is noted."""
+    def _sum_below(self, part: ti.template(), c):
+        """Sum of a part of the blocks below node c, with weights squared."""
         total = ti.Matrix.zero(float, self.dim, self.dim)
         for e in range(self.first_below[c], self.first_below[c + 1]):
             weight = self.below[e].weight
             total += weight * weight * part[self.below[e].point]
-        total *= share
-        part[self.n + c] = total
         return total
 
     @ti.func

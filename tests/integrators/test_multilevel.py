@@ -20,7 +20,7 @@ def grid(width, height, first=0):
 
 
 def levels(edges, n, held=None):
-    return levels_of(edges, np.zeros(n) if held is None else held, np.ones(n), components(n, edges), (1, 2))
+    return levels_of(edges, np.zeros(n) if held is None else held, np.ones(n), components(n, edges), (0, 1, 2))
 
 
 @pytest.mark.once
@@ -59,7 +59,7 @@ def test_weights_of_a_body_do_not_depend_on_another():
 @pytest.mark.once
 def test_what_nothing_joins_has_no_levels():
     assert levels(np.zeros((0, 2), dtype=int), 40) == []
-    assert levels_of(np.zeros((0, 2), dtype=int), np.zeros(0), np.zeros(0), np.zeros(0, dtype=int), (1,)) == []
+    assert levels_of(np.zeros((0, 2), dtype=int), np.zeros(0), np.zeros(0), np.zeros(0, dtype=int), (0,)) == []
 
 
 @ti.kernel
