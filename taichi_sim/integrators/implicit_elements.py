@@ -30,7 +30,7 @@ class StageElements:
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
-        self.has_curvature = any(one.derivatives == 2 for one in elements)
+        self.has_curvature = any(one.derivatives > 1 for one in elements)
         for one in elements:
             one.allocate_derivatives(fields)
 
@@ -65,10 +65,10 @@ class StageElements:
                 total[i] = total[i] + padded_blocks.pad(one.product_at(self.there, i, self.step[0]), self.dim)
 
     @ti.func
-    def block(self, i, derivatives: ti.template()):
-        """What elements with energies of so many derivatives add to the block of the matrix at ball i [kg]."""
+    def block(self, i, curves: ti.template()):
+        """Part that elements with energies of curvatures, or those without, have in the block of the matrix at ball i [kg]."""
         block = ti.Matrix.zero(float, self.dim, self.dim)
-        for one in ti.static([one for one in self.elements if one.derivatives == derivatives]):
+        for one in ti.static([one for one in self.elements if (one.derivatives > 1) == curves]):
             block += one.block_at(self.there, i, self.step[0])
         return block
 

@@ -197,7 +197,7 @@ class StageSolver(Verdicts):
                 if w > 0.0:
                     stiff, curved = ti.Matrix.zero(float, self.dim, self.dim), ti.Matrix.zero(float, self.dim, self.dim)
                     if ti.static(self.has_elements):
-                        stiff, curved = self.elements.block(i, 1), self.elements.block(i, 2)
+                        stiff, curved = self.elements.block(i, False), self.elements.block(i, True)
                     of_elements = stiff + curved
                     inverse = self._inverse(i, w, stiff, curved)
                     sizes = self._sizes(i, r, w, inverse)
