@@ -137,7 +137,7 @@ class Levels:
 
     @ti.func
     def solve(self, residual: ti.template()):
-        """Find what all levels make of a residual, of the balls in its first n entries; the others become that of nodes."""
+        """Find the answers of all levels to a residual, of balls in its first n entries; the others become that of nodes."""
         self._climb(self._restrict, (residual,))
         self._descend(self._add_above, ())
 
@@ -155,7 +155,7 @@ class Levels:
 
     @ti.func
     def shift(self, k):
-        """What the last residual makes of point k by the levels above it."""
+        """Answer at point k of the levels above it to the last residual."""
         v = ti.Vector.zero(float, self.dim)
         for e in range(self.first_above[k], self.first_above[k + 1]):
             v += self.above[e].weight * self.answer[self.above[e].node]
@@ -188,7 +188,7 @@ def _entries(levels: list[Any], taken: NDArray, n: int) -> tuple[NDArray, NDArra
 
 
 def _lists(owner: NDArray, name: str, other: NDArray, weight: NDArray, count: int, fields: Fields) -> tuple[Any, Any]:
-    """Where the list of each of `count` owners begins, and the entries: `weight`, and the other one by its name."""
+    """Lists of `count` owners: their beginnings, and a table of entries, `weight` and the other one by its name."""
     order = np.lexsort((other, owner))
     first = fields.integers(np.append(0, np.cumsum(np.bincount(owner, minlength=count))))
     data = {name: other[order], "weight": weight[order]}

@@ -397,7 +397,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _conditioned(self, i):
-        """What the preconditioner makes of the residual at ball i."""
+        """Preconditioned residual at ball i."""
         z = self.inverse_block[i] @ self.sum[i]
         if ti.static(self.levels.active):
             z += self.levels.shift(i)
@@ -494,7 +494,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _condition(self, c):
-        """What the preconditioner makes of part c of the residual, and their product."""
+        """Preconditioned residual of part c, and the product of both."""
         if self.number[self.bodies.part[c].body].phase == SEARCHING:
             rz = ti.cast(0.0, self.wide)
             for k in range(self.bodies.part[c].count):
