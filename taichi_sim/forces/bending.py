@@ -19,6 +19,7 @@ class Bending(Corners):
 
     name = "bending"
     elastic = may_slice = True
+    derivatives = 2
 
     def __init__(self, model: Model, fields: Fields) -> None:
         scene = model.scene
@@ -106,17 +107,6 @@ class Bending(Corners):
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """The block of the same."""
-        return row.own * row.own * self._block(ball, i, row, s)
-
-    @ti.func
-    def corner_coupling(self, ball: ti.template(), i, row, t: ti.template(), s):
-        """The blocks of the same beside the diagonal."""
-        weight = row.wa if ti.static(t == 0) else row.wb if ti.static(t == 1) else row.wc
-        return row.own * weight * self._block(ball, i, row, s)
-
-    @ti.func
-    def _block(self, ball: ti.template(), i, row, s):
-        """Derivative of the curvature's force by itself [kg]."""
         one = ti.Matrix.identity(float, self.dim)
         block = s * (s * row.stiffness) * one
         if ti.static(self.damped):
@@ -125,4 +115,4 @@ class Bending(Corners):
             if square > 0.0:
                 one = bent.outer_product(bent) / square
             block += s * row.damping * one
-        return block
+        return row.own * row.own * block

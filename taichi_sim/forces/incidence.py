@@ -20,7 +20,8 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 class Corners:
     """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
     the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
-    see kernels.loops.list_entry. `gone` (r), where springs can tear: rows whose element has lost a side, see forces.tearing.
+    see kernels.loops.list_entry. derivatives: 1 where the energy is of strains, 2 where it is of curvatures. `gone` (r), where
+    springs can tear: rows whose element has lost a side, see forces.tearing.
 
     Elements that give `corner_product`, `corner_block` and `corner_energy` are implicit in implicit methods: a stage of s seconds
     that ends at places x = p + s v minimises sum m |q - v|^2 / 2 + W(x) + s R(x, v), W the energy and R half of the power that
@@ -30,6 +31,7 @@ class Corners:
     `prepare`, `prepare_blocks` and `prepare_product`, which run before."""
 
     may_slice = False
+    derivatives = 1
 
     def gather(
         self,
@@ -53,7 +55,8 @@ class Corners:
         values = {name: others[order, k] for k, name in enumerate(names)}
         values |= {name: value[order] for name, value in data.items()}
         self.n, self.dim = model.n, model.dim
-        members = np.concatenate([own[order, None], others[order]], axis=1)
+        # (r, k + 1) the ball of each row, and the others of its element
+        self.members = members = np.concatenate([own[order, None], others[order]], axis=1, dtype=np.int32)
         # (r, 2) the ball of each row, and the lowest free one of its element, or itself where all are pinned: balls joined
         lowest = np.where(model.scene.pinned[members], model.n, members).min(axis=1)
         self.ties = np.stack([members[:, 0], np.where(lowest < model.n, lowest, members[:, 0])], axis=1)
@@ -68,17 +71,11 @@ class Corners:
         self.others = tuple(self.row.get_member_field(name) for name in names)
         if self.tears:
             self.gone = fields.integers(len(own))
-            self.members = members
 
     @property
     def implicit(self) -> bool:
         """True if implicit methods solve for its forces, as it gives their derivatives."""
         return type(self).corner_product is not Corners.corner_product
-
-    @property
-    def couples(self) -> bool:
-        """True if it gives `corner_coupling`."""
-        return type(self).corner_coupling is not Corners.corner_coupling
 
     @ti.func
     def is_whole(self, e):
@@ -140,12 +137,6 @@ class Corners:
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block (dim, dim) of s^2 K + s D [kg] that joins ball i to itself, of the element of a row."""
-        return ti.Matrix.zero(float, self.dim, self.dim)
-
-    @ti.func
-    def corner_coupling(self, ball: ti.template(), i, row, t: ti.template(), s):
-        """Block (dim, dim) of s^2 K + s D [kg] that joins ball i to other corner number t of the element of a row. Not needed:
-        it makes the preconditioner better. Where it is given, rows of K sum to 0."""
         return ti.Matrix.zero(float, self.dim, self.dim)
 
     @ti.func

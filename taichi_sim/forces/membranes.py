@@ -155,31 +155,16 @@ class Membranes(Corners):
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
         """Block of a corner."""
-        return self._block(row.place // 3, row.place % 3, row.place % 3, s)
-
-    @ti.func
-    def corner_coupling(self, ball: ti.template(), i, row, t: ti.template(), s):
-        """Block of a corner and another one."""
-        return self._block(row.place // 3, row.place % 3, (row.place % 3 + 1 + t) % 3, s)
-
-    @ti.func
-    def _gradient(self, of, k):
-        """g_k [1/m]."""
+        of, state = self.triangle[row.place // 3], self.state[row.place // 3]
+        u, v, k = state.u, state.v, row.place % 3
         first, second = ti.Vector([of.bu, of.bv]), ti.Vector([of.cu, of.cv])
-        return ti.select(k == 1, first, ti.select(k == 2, second, -(first + second)))
-
-    @ti.func
-    def _block(self, t, k, l, s):
-        """Block of corners k and l of triangle t."""
-        of, state = self.triangle[t], self.state[t]
-        g, d = self._gradient(of, k), self._gradient(of, l)
-        u, v = state.u, state.v
-        block = (of.warp * g[0] * d[0] + of.shear * g[1] * d[1]) * u.outer_product(u)
-        block += (of.weft * g[1] * d[1] + of.shear * g[0] * d[0]) * v.outer_product(v)
-        block += (of.coupling * g[0] * d[1] + of.shear * g[1] * d[0]) * u.outer_product(v)
-        block += (of.coupling * g[1] * d[0] + of.shear * g[0] * d[1]) * v.outer_product(u)
-        pull = state.stress[0] * g[0] * d[0] + state.stress[1] * g[1] * d[1]
-        pull += state.stress[2] * (g[0] * d[1] + g[1] * d[0])
+        g = ti.select(k == 1, first, ti.select(k == 2, second, -(first + second)))
+        uu, uv, vv = g[0] * g[0], g[0] * g[1], g[1] * g[1]
+        block = (of.warp * uu + of.shear * vv) * u.outer_product(u) + (of.weft * vv + of.shear * uu) * v.outer_product(
+            v
+        )
+        block += (of.coupling + of.shear) * uv * (u.outer_product(v) + v.outer_product(u))
+        pull = state.stress[0] * uu + state.stress[1] * vv + 2.0 * state.stress[2] * uv
         return of.area * (self._factor(of, s) * block + s * s * pull * ti.Matrix.identity(float, 3))
 
 

@@ -30,8 +30,17 @@ class StageElements:
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
+        self.has_curvature = any(one.derivatives > 1 for one in elements)
         for one in elements:
             one.allocate_derivatives(fields)
+
+    def edges(self) -> NDArray[np.int32]:
+        """Pairs of balls (m, 2) that share an element with an energy of strains, once for each of both and each element."""
+        found = [np.zeros((0, 2), dtype=np.int32)]
+        for one in self.elements:
+            if one.derivatives == 1:
+                found += [one.members[:, [0, k]] for k in range(1, one.members.shape[1])]
+        return np.concatenate(found)
 
     @ti.func
     def push(self, base: ti.template(), total: ti.template(), s):
@@ -56,10 +65,10 @@ class StageElements:
                 total[i] = total[i] + padded_blocks.pad(one.product_at(self.there, i, self.step[0]), self.dim)
 
     @ti.func
-    def block(self, i):
-        """Block of the matrix at ball i [kg], without its mass."""
+    def block(self, i, curves: ti.template()):
+        """Part that elements with energies of curvatures, or those without, have in the block of the matrix at ball i [kg]."""
         block = ti.Matrix.zero(float, self.dim, self.dim)
-        for one in ti.static(self.elements):
+        for one in ti.static([one for one in self.elements if (one.derivatives > 1) == curves]):
             block += one.block_at(self.there, i, self.step[0])
         return block
 

@@ -10,9 +10,9 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies, FreeBodies
-from taichi_sim.integrators.coarse_preconditioner import Aggregates
 from taichi_sim.integrators.implicit_elements import StageElements
 from taichi_sim.integrators.implicit_gas import StageGas
+from taichi_sim.integrators.multilevel import Levels
 from taichi_sim.integrators.newton_decisions import (
     BEGUN,
     DOUBTFUL,
@@ -20,7 +20,6 @@ from taichi_sim.integrators.newton_decisions import (
     NUMBERS,
     READY,
     SEARCHING,
-    SLOW_MODES_PART,
     TALLY,
     TRIED,
     WITHDRAWN,
@@ -81,7 +80,7 @@ class StageSolver(Verdicts):
         if not self.has_springs and not self.has_elements:
             return
         scene, width = model.scene, padded_blocks.width(self.dim)
-        self.sum, self.dv = (fields.vectors(self.n, self.dim) for _ in range(2))
+        self.dv = fields.vectors(self.n, self.dim)
         self.last = fields.vectors(self.n * stages, self.dim)
         self.ahead = fields.table(phase_type(width, fields.real), self.n)  # padded
         vector = ti.types.vector(width, fields.real)
@@ -100,9 +99,8 @@ class StageSolver(Verdicts):
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
         self.part = self.bodies.columns(dict.fromkeys(SUMS, self.wide))
         self.free = FreeBodies(model, self.bodies, fields)
-        self.aggregates = Aggregates(model, springs, self.bodies, self.spring_block, self.elements, fields)
-        self.slow = self.aggregates.missing
-        self.asked = self.tolerance * (SLOW_MODES_PART if self.slow else 1.0)
+        self.levels = Levels(model, self.bodies, self.elements, fields)
+        self.sum = fields.vectors(self.n + self.levels.count, self.dim)
         self.gas = None if gases is None else StageGas(gases, self.bodies, fields)
         self.inflated = gases is not None
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
@@ -153,13 +151,13 @@ class StageSolver(Verdicts):
 
     @ti.func
     def linearise(self, s):
-        """Inverse blocks and aggregates of the matrix, and the size of the residual, where guesses were added or taken back."""
+        """Inverse blocks of the matrix and of levels, and the size of the residual, where guesses were added or taken back."""
         self.bodies.each_part(self._measure, (s,))
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
         self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
-        if ti.static(self.aggregates.active):
-            self.aggregates.factor(self)
+        if ti.static(self.levels.active):
+            self.levels.factor(self)
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.begins(b):
@@ -197,10 +195,11 @@ class StageSolver(Verdicts):
                 w = self.model.inverse_mass[i]
                 inverse = ti.Matrix.zero(float, self.dim, self.dim)
                 if w > 0.0:
-                    block = ti.Matrix.zero(float, self.dim, self.dim)
+                    stiff, curved = ti.Matrix.zero(float, self.dim, self.dim), ti.Matrix.zero(float, self.dim, self.dim)
                     if ti.static(self.has_elements):
-                        block = self.elements.block(i)
-                    inverse = self._inverse(i, w, block)
+                        stiff, curved = self.elements.block(i, False), self.elements.block(i, True)
+                    of_elements = stiff + curved
+                    inverse = self._inverse(i, w, stiff, curved)
                     sizes = self._sizes(i, r, w, inverse)
                     residual += sizes[0]
                     force += sizes[1]
@@ -208,7 +207,7 @@ class StageSolver(Verdicts):
                     own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i] - change
                     within += ti.cast(ti.max(own.norm_sqr(), whole.norm_sqr()) / w, self.wide)
                     load += ti.cast((self.kick[i] - alike).norm_sqr() / w, self.wide)
-                    blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
+                    blur = (s * self.rough[i] + self.eps * of_elements.trace() / s) * ti.abs(self.base[i].x).max()
                     blur += self.eps * ti.abs(self.first[i]).max() / w
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                 self.inverse_block[i] = inverse
@@ -254,11 +253,11 @@ class StageSolver(Verdicts):
         self.part[c].moving = moving
 
     @ti.func
-    def _inverse(self, i, w, of_elements):
-        """Inverse of the diagonal's block for ball i of inverse mass w, with what elements have of it; in double precision, or
-        stiff springs in a line would make it indefinite."""
-        across = 1.0 / ti.cast(w, self.wide)
-        along = ti.cast(of_elements, self.wide)
+    def _inverse(self, i, w, stiff, curved):
+        """Inverse of the diagonal's block for ball i of inverse mass w, with what elements have of it by strains and curvatures;
+        in double precision, or stiff springs in a line would make it indefinite."""
+        across = ti.cast(0.0, self.wide)
+        along = ti.cast(stiff, self.wide)
         if ti.static(self.has_springs):
             for k in range(self.start[i], self.start[i + 1]):
                 block = self.spring_block[self.own_spring[k]]
@@ -267,15 +266,18 @@ class StageSolver(Verdicts):
                     for b in ti.static(range(self.dim)):
                         product = ti.cast(block.r[a], self.wide) * ti.cast(block.r[b], self.wide)
                         along[a, b] += ti.cast(block.along, self.wide) * product
+        one = ti.Matrix.identity(self.wide, self.dim)
+        if ti.static(self.levels.active):
+            self.levels.note(i, along + across * one, curved)
         if ti.static(self.inflated):
             g = ti.cast(self.gas.gradient(i), self.wide)
             along += g.outer_product(g)
-        inverse = (along + across * ti.Matrix.identity(self.wide, self.dim)).inverse()
-        return ti.cast(inverse, float)
+        whole = along + ti.cast(curved, self.wide) + (across + 1.0 / ti.cast(w, self.wide)) * one
+        return ti.cast(whole.inverse(), float)
 
     @ti.func
     def evaluate(self):
-        """Sizes where changes that are found were added, or a part taken back. Blocks and aggregates stay as they were: they
+        """Sizes where changes that are found were added, or a part taken back. Blocks stay as they were: they
         condition well enough, and the residual keeps its measure. See `go_on`."""
         self.bodies.each_part(self._measure_residual, ())
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
@@ -370,9 +372,10 @@ class StageSolver(Verdicts):
     @ti.func
     def start_search(self):
         """Start the conjugate gradients of an iteration."""
-        if ti.static(self.aggregates.active):
-            self.aggregates.solve(self.sum)
+        if ti.static(self.levels.active):
+            self.levels.solve(self.sum)
         self.bodies.each_part(self._aim, ())
+        self.bodies.join((self.part.residual,))
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == READY:
@@ -381,26 +384,32 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _aim(self, c):
-        """Part c of the first p."""
+        """Part c of the first p, and of its product with the residual."""
         if self.number[self.bodies.part[c].body].phase == READY:
+            rz = ti.cast(0.0, self.wide)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 self.dv[i] = ti.Vector.zero(float, self.dim)
-                p = self.inverse_block[i] @ self.sum[i]
-                if ti.static(self.aggregates.active):
-                    p += self.aggregates.shift(i)
+                p = self._conditioned(i)
                 self.product.p[i] = padded_blocks.pad(p, self.dim)
+                rz += ti.cast(self.sum[i].dot(p), self.wide)
+            self.part[c].residual = rz
+
+    @ti.func
+    def _conditioned(self, i):
+        """Preconditioned residual at ball i."""
+        z = self.inverse_block[i] @ self.sum[i]
+        if ti.static(self.levels.active):
+            z += self.levels.shift(i)
+        return z
 
     @ti.func
     def _count_iteration(self, b):
         """The numbers with which an iteration starts."""
-        rz = self.number[b].residual
-        self.number[b].residual_before = rz
+        self.number[b].residual_before = self.number[b].residual
         self.number[b].moved_before = self.number[b].moved
         self.number[b].moved = 0.0
-        if ti.static(self.aggregates.active):
-            rz += self.aggregates.product(b)
-        self.number[b].rz = rz
+        self.number[b].rz = self.bodies.total(self.part.residual, b)
         self.number[b].iterations += 1.0
         self.number[b].searches = 0.0
         self.number[b].tries = 0.0
@@ -420,9 +429,10 @@ class StageSolver(Verdicts):
             if self.number[b].phase == SEARCHING:
                 self._choose_step(b)
         self.bodies.each_part(self._descend, ())
+        if ti.static(self.levels.active):
+            self.levels.solve(self.sum)
+            self.bodies.each_part(self._condition, ())
         self.bodies.join((self.part.residual,))
-        if ti.static(self.aggregates.active):
-            self.aggregates.solve(self.sum)
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == SEARCHING:
@@ -441,15 +451,13 @@ class StageSolver(Verdicts):
                 step = -descent / curvature
             self.number[b].saddle = ti.select(curvature > 0.0, 0.0, 1.0)
         self.number[b].step = step
-        self.add_gain(b, step * descent)  # dv A dv grows by that
+        self.number[b].gain = step * descent  # dv A dv grows by that
         self.number[b].moved += step * descent
 
     @ti.func
     def _count_search(self, b):
         """The numbers after a step along p."""
         rz, before = self.bodies.total(self.part.residual, b), self.number[b].rz
-        if ti.static(self.aggregates.active):
-            rz += self.aggregates.product(b)
         if ti.static(self.inflated):
             rz = ti.select(self.number[b].saddle > 0.0, 0.0 * rz, rz)
         self.number[b].step = ti.select(before > 0.0, rz / ti.select(before > 0.0, before, 1.0), 0.0)
@@ -473,19 +481,27 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _descend(self, c):
-        """Step along part c of p; its residual r, what the blocks make of that, and their product."""
+        """Step along part c of p, and its residual."""
         b = self.bodies.part[c].body
         if self.number[b].phase == SEARCHING:
             step = ti.cast(self.number[b].step, float)
-            rz = ti.cast(0.0, self.wide)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
-                r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
-                z = self.inverse_block[i] @ r
-                self.sum[i] = r
+                self.sum[i] = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
+        if ti.static(not self.levels.active):
+            self._condition(c)
+
+    @ti.func
+    def _condition(self, c):
+        """Preconditioned residual of part c, and the product of both."""
+        if self.number[self.bodies.part[c].body].phase == SEARCHING:
+            rz = ti.cast(0.0, self.wide)
+            for k in range(self.bodies.part[c].count):
+                i = self.bodies.ball(c, k)
+                z = self._conditioned(i)
                 self.product.sum[i] = padded_blocks.pad(z, self.dim)
-                rz += ti.cast(r.dot(z), self.wide)
+                rz += ti.cast(self.sum[i].dot(z), self.wide)
             self.part[c].residual = rz
 
     @ti.func
@@ -496,10 +512,7 @@ class StageSolver(Verdicts):
             step = ti.cast(self.number[b].step, float)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
-                z = self.product.sum[i]
-                if ti.static(self.aggregates.active):
-                    z += padded_blocks.pad(self.aggregates.shift(i), self.dim)
-                self.product.p[i] = z + step * self.product.p[i]
+                self.product.p[i] = self.product.sum[i] + step * self.product.p[i]
 
     @ti.func
     def end(self, stage):

@@ -13,7 +13,6 @@ __all__ = [
     "NUMBERS",
     "READY",
     "SEARCHING",
-    "SLOW_MODES_PART",
     "SOLVED",
     "TALLY",
     "TRIED",
@@ -28,8 +27,6 @@ MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
 DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
-GAIN_WINDOW = 0.2  # part of the iterations so far, the last ones, whose gains tell what is left of slow modes
-SLOW_MODES_PART = 0.2  # of the tolerance, where slow modes are solved last and the residual hides them
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
 GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
@@ -120,12 +117,10 @@ class Verdicts:
     part: Any  # sums over parts of bodies
     wide: Any
     tolerance: float
-    asked: float  # of a solution: the tolerance, or a part of it
     order: int
     least: float
     rounding: float
     finest: float
-    slow: bool  # whether conjugate gradients lack the aggregates that solve slow modes first
 
     @ti.func
     def begin_body(self, b):
@@ -261,20 +256,11 @@ class Verdicts:
         return ti.cast(first or (large and iterations < MOST_ITERATIONS), ti.i32)
 
     @ti.func
-    def add_gain(self, b, gain):
-        """Add the gain of an iteration of conjugate gradients; where these converge slowly, to that of the last few."""
-        kept = ti.cast(0.0, self.wide)
-        if ti.static(self.slow):
-            kept = ti.max(0.0, 1.0 - 1.0 / ti.max(1.0, GAIN_WINDOW * (self.number[b].searches + 1.0)))
-        self.number[b].gain = kept * self.number[b].gain + gain
-
-    @ti.func
     def searching(self, b):
         """1 if the search is to go on, else 0: by what the last iteration gained, which sees the slow modes that the residual
         hides.
 
-        What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952). Without
-        aggregates many small ones come, so that the last few are taken, see `add_gain`.
+        What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952).
         """
         goal = ti.max(FORCING_TERM**2 * self.number[b].moved, 0.1 * self.number[b].target)
         searches = self.number[b].searches
@@ -290,7 +276,7 @@ class Verdicts:
         local error of the method; where a step does not resolve the motion, the tolerance it is.
         """
         force, residual = self.number[b].force, self.number[b].residual
-        part = ti.cast(self.asked, self.wide)
+        part = ti.cast(self.tolerance, self.wide)
         if force > 0.0:
             part = ti.min(part, LOCAL_ERROR_PART * (residual / force) ** (0.5 * self.order))
         self.number[b].allowed = ti.max(self.least, part) ** 2

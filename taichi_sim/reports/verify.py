@@ -101,7 +101,7 @@ CASES = (
         0.5,
     ),
     Case("collisions, gauss_seidel", _collision, {"contacts": "gauss_seidel"}, 0.6, cpu=True),
-    Case(  # solved until rounding ends it: by its usual tolerance what a device without aggregates leaves is 3e-4 of the size
+    Case(  # solved until rounding ends it: methods stop within their tolerance, and not at the same place in it
         "cloth, implicit_euler",
         _cloth,
         {"integrator": ImplicitEuler(tolerance=3e-5), "contacts": "off", "dt": 4e-3},

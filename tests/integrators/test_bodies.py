@@ -7,8 +7,8 @@ from taichi_sim.kernels import reductions
 
 import taichi_sim as ts
 from taichi_sim.integrators import bodies
-from taichi_sim.integrators.coarse_preconditioner import FEWEST_BALLS
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
+from taichi_sim.integrators.multilevel import FEWEST_BALLS
 
 LONE = 3  # balls that nothing joins
 NO_TIES = np.zeros((0, 2), dtype=int)
@@ -53,7 +53,7 @@ OTHERS = ({}, {"stiffness": 1e9, "speed": 30.0}, {"mass": 1e3, "speed": 0.0}, {"
     ("method", "number"), [("implicit_euler", 6), ("implicit_euler", FEWEST_BALLS + 2), ("tr_bdf2", 6)]
 )
 def test_a_body_does_not_depend_on_another(method, number):
-    """The bits are equal beside any other, however stiff, heavy or fast that is, and alone; with and without aggregates."""
+    """The bits are equal beside any other, however stiff, heavy or fast that is, and alone; with and without levels."""
     found = [after(beside(number, other), number, method) for other in OTHERS]
     alone = after(beside(number, None), number, method)
     assert np.isfinite(alone).all()

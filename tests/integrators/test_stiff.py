@@ -8,7 +8,7 @@ from physics_support import F64, each_dim, error, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.analysis.methods import BUILT_IN_METHODS
-from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler, coarse_preconditioner
+from taichi_sim.integrators import TRBDF2, XPBD, ImplicitEuler
 from tests.support.drag import Drag
 
 pytestmark = pytest.mark.long_in("f32")
@@ -350,53 +350,6 @@ def test_tr_bdf2_takes_forces_of_ones_own_to_second_order():
 def test_a_tolerance_out_of_range_is_refused():
     with pytest.raises(ValueError, match="tolerance: 0 is not allowed; it must be between 0 and 1"):
         ImplicitEuler(tolerance=0)
-
-
-@pytest.mark.slow
-def test_patches_save_passes(monkeypatch):
-    """Aggregates condition what blocks of single balls cannot: a cloth that swings as a whole. The solution is the same."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    sheet = ts.shapes.cloth(scene, size=(1, 1), resolution=(20, 20), stiffness=1e4, mass=0.3)
-    scene.set_balls(sheet.balls[:20], pinned=True)
-    found = []
-    for fewest in (32, 10**6):
-        monkeypatch.setattr(coarse_preconditioner, "FEWEST_BALLS", fewest)
-        with simulate(scene, integrator=ImplicitEuler(1e-3), dt=1e-2, contacts="off") as sim:
-            sim.step(20)
-            found.append((sim.solver().passes, sim.position))
-    print([passes for passes, _ in found])
-    assert found[0][0] < 0.6 * found[1][0]
-    assert error(found[0][1], found[1][1]) < 1e-3
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("resolution", "stiffness", "dt", "side"), [((26, 22), 4e4, 4e-3, "right"), ((24, 20), 6e4, 5e-3, "left")]
-)
-def test_without_aggregates_slow_modes_are_solved_as_well(resolution, stiffness, dt, side):
-    """What moves the cloth as a whole is small in the residual and comes last: tolerances are to mean the same."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    cloth = {"size": (1.2, 1), "mass": 0.4, "damping": 0.1, "pinned": side}
-    ts.shapes.cloth(scene, resolution=resolution, stiffness=stiffness, **cloth)
-    found = []
-    for accumulate, method in (
-        ("ordered", exactly("implicit_euler")),
-        ("ordered", ImplicitEuler()),
-        ("atomic", ImplicitEuler()),
-    ):
-        with simulate(scene, (accumulate, "parallel"), integrator=method, dt=dt, contacts="off") as sim:
-            sim.step(40)
-            found.append(sim.position)
-    converged, with_aggregates, without = found
-    assert 0.0 < error(without, converged) < 2.0 * error(with_aggregates, converged)
-
-
-def test_halves_of_patches_differ_by_one_ball_at_most():
-    x = np.random.default_rng(3).normal(size=(203, 3))
-    part = coarse_preconditioner.bisected(x, 16)
-    assert sorted(np.bincount(part)) == [12] * 5 + [13] * 11
-    spread = np.sqrt(np.mean([x[part == k].var(axis=0).sum() for k in range(16)]))
-    assert spread < 0.7 * np.sqrt(x.var(axis=0).sum())  # neighbours
 
 
 @pytest.mark.slow_where(method="tr_bdf2")
