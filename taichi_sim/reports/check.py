@@ -86,7 +86,7 @@ def lines(sim: Simulation) -> Iterator[str]:
     scene, used, custom = sim.scene, sim.settings.integrator.method, sim.force_rates
     h = sim.dt / sim.substeps
     limits = sim.stability()
-    yield f"method                {used}"
+    yield f"method                {sim.settings.chosen or used}"
     tolerance, many = sim.settings.tolerance, sim.substeps
     yield (
         f"step used             {h:.4g} s{'' if many == 1 else f' ({many} substeps of {sim.dt:.4g} s)'}"
