@@ -14,24 +14,43 @@ __all__ = ["FRAME_STEP", "Choice", "Demand", "choose"]
 
 FRAME_STEP = 1.0 / 120.0  # s, of an implicit method for pictures: half a frame of 60 a second
 LONGEST_STEP = 1e-3  # s, of Verlet
-CHEAP = 1e6  # springs and elements a simulated second that nobody waits for: some 10 to 50 ms
-WORTH = 1.2  # times cheaper than Verlet, from which an implicit method is worth the motion that it damps
+CHEAP = 0.01  # s of work a simulated second, that nobody waits for
+WORTH = 1.25  # times faster than Verlet, from which an implicit method is worth the motion that it damps
+FEWEST_PASSES, PASSES_PER_RADIAN = (
+    3.0,
+    0.35,
+)  # of a stage; the angle is the step times the frequency of the fastest motion
+RIGID = 400.0  # rad: bodies that hardly deform need no more passes than at that angle
+SECOND_ORDER = 4.0  # times the work of implicit Euler: two stages of TR-BDF2, each solved thirty times finer
 
-# Cost of an implicit stage, in passes of an explicit method over all forces, fitted to cloth, nets, ropes and jelly on a CPU. Its
-# own passes grow with the step times the frequency of the fastest motion; bodies that hardly deform need no more than RIGID.
-FEWEST_PASSES, PASSES_PER_RADIAN, RIGID = 6.0, 0.4, 150.0
-PASS_COST = 1.3  # of its passes: each multiplies by a matrix and has sums to join
-BEGINNING = {"bricks": 30.0, "solids": 10.0}  # passes that a matrix takes to set up, by elements
-OTHERS_BEGIN = 4.0
-SECOND_ORDER = 4.0  # times the cost of implicit Euler: two stages of TR-BDF2, each solved thirty times finer
+
+class _Work(NamedTuple):
+    """Seconds that one thread of a CPU takes for one spring or element, fitted to cloth, nets, ropes and jelly: for its force,
+    for its part of a product with the matrix, and for setting up that matrix once in a stage."""
+
+    force: float
+    product: float
+    begin: float
+
+
+WORK = {
+    "springs": _Work(6e-9, 5e-9, 24e-9),
+    "bending": _Work(8e-9, 7e-9, 32e-9),
+    "membranes": _Work(18e-9, 16e-9, 72e-9),
+    "bricks": _Work(110e-9, 300e-9, 5e-6),
+    "solids": _Work(40e-9, 55e-9, 300e-9),
+}
+OTHERS = _Work(8e-9, 8e-9, 32e-9)
+BALL, SEARCHING_BALL = _Work(3e-9, 14e-9, 0.0), 33e-9  # the second for each step of one that may meet others
 
 
 class Demand(NamedTuple):
-    """Wishes for a simulation. step [s]: given, or None; contact_step [s]: the longest that contacts bear; by_error: whether the
-    error chooses the step; part: of Verlet's bound that its steps have."""
+    """Wishes for a simulation. step [s]: given, or None; contact_step [s]: the longest that contacts bear; contacts: whether any
+    are looked for; by_error: whether the error chooses the step; part: of Verlet's bound that its steps have."""
 
     step: float | None
     contact_step: float
+    contacts: bool
     by_error: bool
     part: float
 
@@ -45,8 +64,8 @@ class Choice(NamedTuple):
 
 
 def choose(scene: Scene, demand: Demand, custom: Declared, unknown: bool = False) -> Choice:
-    """Choose by the step that is given, or else by the passes over springs and elements that Verlet and an implicit method need
-    in a simulated second. custom: what user-defined forces declare; unknown: whether one declares nothing."""
+    """Choose by the step that is given, or else by the work that Verlet and an implicit method have in a simulated second.
+    custom: what user-defined forces declare; unknown: whether one declares nothing."""
     longest = stability(scene, VERLET, None, custom).dt_any_shape
     if unknown:
         return Choice(VERLET, None, "a force of your own does not declare how stiff it is")
@@ -64,24 +83,31 @@ def choose(scene: Scene, demand: Demand, custom: Declared, unknown: bool = False
 def _cheaper(scene: Scene, longest: float, demand: Demand, custom: Declared) -> Choice:
     """The cheaper method; that of second order where the error matters. longest [s]: the bound of Verlet."""
     method = TR_BDF2 if demand.by_error else IMPLICIT_EULER
+    work = _work(scene)
+    meeting = SEARCHING_BALL * _loose(scene) if demand.contacts else 0.0
     h = min(LONGEST_STEP, demand.part * longest, demand.contact_step)
-    explicit = VERLET.passes(scene, h) / h
+    explicit = (VERLET.passes(scene, h) * work.force + meeting) / h
+    if explicit < CHEAP:
+        return Choice(VERLET, None, f"about {explicit:.2g} s of work a simulated second, too little to save any of it")
     step = min(FRAME_STEP, demand.contact_step, 0.9 * stability(scene, method, None, custom).dt_any_shape)
-    implicit = (SECOND_ORDER if demand.by_error else 1.0) * _stage_cost(scene, 2.0 * step / longest) / step
-    acting = {one.name: one.count(scene) for one in ELEMENTS if one.acts(scene)}
-    if explicit * (scene.n_springs + sum(acting.values())) < CHEAP:
-        return Choice(VERLET, None, f"its {explicit:.3g} passes over the forces in a simulated second cost little here")
-    costs = (
-        f"{VERLET} takes {explicit:.3g} passes over the forces in a simulated second, {method} in steps of {step:.4g} s about as"
-        f" much time as {implicit:.3g}"
-    )
+    passes = FEWEST_PASSES + PASSES_PER_RADIAN * min(2.0 * step / longest, RIGID)
+    stages = SECOND_ORDER if demand.by_error else 1.0
+    implicit = (stages * (work.begin + passes * work.product) + meeting) / step
+    costs = f"{VERLET} takes about {explicit:.2g} s of work a simulated second, {method} {implicit:.2g} s by steps of {step:.2g} s"
     if explicit < WORTH * implicit:
         return Choice(VERLET, None, costs)
     return Choice(method, None if demand.by_error else step, costs)
 
 
-def _stage_cost(scene: Scene, angle: float) -> float:
-    """Cost of a stage, in passes of an explicit method; angle: the step times the frequency of the fastest motion [rad]."""
-    passes = FEWEST_PASSES + min(PASSES_PER_RADIAN * angle, RIGID)
-    begins = [BEGINNING.get(one.name, OTHERS_BEGIN) for one in ELEMENTS if one.acts(scene)]
-    return max([OTHERS_BEGIN, *begins]) + PASS_COST * passes
+def _loose(scene: Scene) -> int:
+    """Number of balls that may meet each other."""
+    loose = int(np.count_nonzero((scene.body == 0) & ~scene.pinned))
+    return loose if loose > 1 else 0
+
+
+def _work(scene: Scene) -> _Work:
+    """Work [s] of one pass over a scene."""
+    counts = [(BALL, np.count_nonzero(~scene.pinned)), (WORK["springs"], scene.n_springs)]
+    counts += [(WORK.get(one.name, OTHERS), one.count(scene)) for one in ELEMENTS if one.acts(scene)]
+    total = np.sum([np.multiply(work, count) for work, count in counts], axis=0)
+    return _Work(*total.tolist())
