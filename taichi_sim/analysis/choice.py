@@ -93,7 +93,7 @@ def _cheaper(scene: Scene, longest: float, demand: Demand, custom: Declared) -> 
     passes = FEWEST_PASSES + PASSES_PER_RADIAN * min(2.0 * step / longest, RIGID)
     stages = SECOND_ORDER if demand.by_error else 1.0
     implicit = (stages * (work.begin + passes * work.product) + meeting) / step
-    costs = f"{VERLET} takes about {explicit:.2g} s of work a simulated second, {method} {implicit:.2g} s by steps of {step:.2g} s"
+    costs = f"{VERLET} takes about {explicit:.2g} s of work a simulated second, {method} {implicit:.2g} by steps of {step:.2g} s"
     if explicit < WORTH * implicit:
         return Choice(VERLET, None, costs)
     return Choice(method, None if demand.by_error else step, costs)
