@@ -107,7 +107,10 @@ def _loose(scene: Scene) -> int:
 
 def _work(scene: Scene) -> _Work:
     """Work [s] of one pass over a scene."""
-    counts = [(BALL, np.count_nonzero(~scene.pinned)), (WORK["springs"], scene.n_springs)]
+    counts = [(BALL, int(np.count_nonzero(~scene.pinned))), (WORK["springs"], scene.n_springs)]
     counts += [(WORK.get(one.name, OTHERS), one.count(scene)) for one in ELEMENTS if one.acts(scene)]
-    total = np.sum([np.multiply(work, count) for work, count in counts], axis=0)
-    return _Work(*total.tolist())
+    return _Work(
+        sum(work.force * count for work, count in counts),
+        sum(work.product * count for work, count in counts),
+        sum(work.begin * count for work, count in counts),
+    )
