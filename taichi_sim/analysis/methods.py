@@ -266,6 +266,7 @@ TR_BDF2 = _TRBDF2(
     2,
     SmallMotionLimit(undamped=1.0, damped=0.5),
     contact_solves=2,
+    solves_gas=True,
     solves_elements=True,
     contacts_follow=True,
 )

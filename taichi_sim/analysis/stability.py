@@ -19,6 +19,7 @@ __all__ = [
     "Sinking",
     "Stability",
     "coarsest_spring",
+    "explicit_parts",
     "present_limit",
     "sinking_spring",
     "sinking_step",
@@ -77,7 +78,7 @@ def stability(
         return _unlimited(f"{method} is stable at any step{limit.caution}{caution}")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
-        return _of_elements(method, limit, rates, _explicit_parts(scene, method, custom))
+        return _of_elements(method, limit, rates, explicit_parts(scene, method, custom))
     h, spring = limit.of_springs(_any_shape(scene, k, c, rates))
     if np.isinf(h):
         return _unlimited("no spring has stiffness or damping: every step is stable")
@@ -85,7 +86,7 @@ def stability(
     i, j = (int(b) for b in scene.pairs[spring])
     load = np.bincount(scene.pairs.ravel(), np.repeat(k + c, 2), scene.n_balls) / scene.mass * ~scene.pinned
     ball = i if load[i] >= load[j] else j
-    what = _explicit_parts(scene, method, custom) if any(rates) else ""
+    what = explicit_parts(scene, method, custom) if any(rates) else ""
     ends = pair_in_words(scene.objects, i, j)
     if h == 0.0:
         of = f"{what} are" if rates.elastic > 0.0 else f"spring {spring} ({ends}) is"
@@ -140,7 +141,7 @@ def _explicit(scene: Scene, method: Method, custom: Declared) -> Rates:
     return element_rates(scene, method.solved(scene)).plus(custom.left(method.solves_elements))
 
 
-def _explicit_parts(scene: Scene, method: Method, custom: Declared) -> str:
+def explicit_parts(scene: Scene, method: Method, custom: Declared) -> str:
     """Names of what a method takes explicitly besides springs."""
     solved = method.solved(scene)
     names = [one.name for one in ELEMENTS if one.acts(scene) and one not in solved]

@@ -19,7 +19,8 @@ SHARED: dict[str, Any] = {
         ),
     ],
     "integrator": Annotated[
-        str | None, typer.Option(help="explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2.")
+        str | None,
+        typer.Option(help="auto, explicit_euler, symplectic_euler, verlet, rk4, xpbd, implicit_euler or tr_bdf2."),
     ],
     "contacts": Annotated[str | None, typer.Option(help="Contact rule: auto, gauss_seidel, jacobi, sum or off.")],
     "precision": Annotated[str | None, typer.Option(help="f32 or f64.")],

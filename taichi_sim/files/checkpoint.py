@@ -37,6 +37,7 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     settings = {name.name: getattr(own, name.name) for name in fields(own)}
     # what has settled does so once
     settings.update(integrator=own.integrator.method.name, precision=simulation.backend.precision, settle=None)
+    del settings["chosen"]
     snapshot = simulation.snapshot()
     about, arrays = parts_of(scene)
     about |= {"settings": settings, "time": snapshot.time, "stepping": snapshot.stepping}

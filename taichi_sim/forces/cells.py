@@ -20,7 +20,8 @@ class Cells(Corners):
     CRUSHED, 0)^2 / 2, V with its sign.
 
     Of cells that act together V and V0 are sums, K the mean (mean dilatation, Nagtegaal et al. 1974): `first` and `member`, the
-    rows of the first corners of a group's cells, `pressure` [Pa] of each group.
+    rows of the first corners of a group's cells, `pressure` [Pa] of each group. Implicit methods get the part of the second
+    derivative by dV/dx twice; that by d2V/dx2, which has either sign, is left out.
     """
 
     name = "cells"
@@ -58,6 +59,12 @@ class Cells(Corners):
             self.first = fields.integers(np.append(0, np.cumsum(np.bincount(one))))
             self.pressure = fields.reals(self.groups)
         self.gather(model, fields, others, own, columns, data)
+        if self.shared:  # groups join balls that no cell joins
+            free = np.where(model.scene.pinned[cells], model.n, cells).min(axis=1)
+            lowest = np.full(self.groups, model.n)
+            np.minimum.at(lowest, one, free)
+            tie = lowest[np.tile(one, len(others_of))[np.argsort(own, kind="stable")]]
+            self.ties[:, 1] = np.where(tie < model.n, tie, self.ties[:, 0])
 
     @ti.func
     def _volume(self, ball: ti.template(), i, row):
@@ -73,7 +80,7 @@ class Cells(Corners):
 
     @ti.func
     def _together(self, ball: ti.template(), g):
-        """Volume of group g in parts of that at rest, and its moduli."""
+        """Volume of group g in parts of that at rest, its moduli, and the volume at rest."""
         volume, rest, strength, crush = (
             ti.cast(0.0, float),
             ti.cast(0.0, float),
@@ -94,14 +101,14 @@ class Cells(Corners):
             part = volume / rest
             strength /= rest
             crush /= rest
-        return part, strength, crush
+        return part, strength, crush, rest
 
     @ti.func
     def prepare(self, ball: ti.template()):
         """Pressures of groups."""
         if ti.static(self.shared):
             for g in range(self.groups):
-                part, modulus, crush = self._together(ball, g)
+                part, modulus, crush, _ = self._together(ball, g)
                 self.pressure[g] = modulus * (part - 1.0) + crush * min(part - CRUSHED, 0.0)
 
     @ti.func
@@ -120,7 +127,80 @@ class Cells(Corners):
         volume, _ = self._volume(ball, i, row)
         part, modulus, crush = volume * row.inverse, row.modulus, row.crush
         if ti.static(self.shared):
-            part, modulus, crush = self._together(ball, row.group)
+            part, modulus, crush, _ = self._together(ball, row.group)
         strain, crushed = ti.cast(part - 1.0, real), ti.cast(min(part - CRUSHED, 0.0), real)
         stored = ti.cast(modulus, real) * strain * strain + ti.cast(crush, real) * crushed * crushed
         return self.share * 0.5 * stored / ti.cast(row.inverse, real)
+
+    # The derivatives, for implicit methods
+
+    def allocate_derivatives(self, fields: Fields) -> None:
+        """Declare the stiffness of each group by its volume [Pa/m^dim], and the change of its pressure in a product."""
+        if self.shared:
+            self.slope, self.change = fields.reals(self.groups), fields.reals(self.groups)
+
+    @ti.func
+    def prepare_blocks(self, ball: ti.template(), s):
+        """Stiffness of groups."""
+        if ti.static(self.shared):
+            for g in range(self.groups):
+                part, modulus, crush, rest = self._together(ball, g)
+                self.slope[g] = ti.select(
+                    rest > 0.0, _modulus(part, modulus, crush) / ti.select(rest > 0.0, rest, 1.0), 0.0
+                )
+
+    @ti.func
+    def _slope(self, ball: ti.template(), i, row):
+        """Stiffness [Pa/m^dim] of a row's cell, or of its group, by its volume, and the gradient of that at ball i."""
+        volume, g = self._volume(ball, i, row)
+        slope = _modulus(volume * row.inverse, row.modulus, row.crush) * row.inverse
+        if ti.static(self.shared):
+            slope = self.slope[row.group]
+        return slope, g
+
+    @ti.func
+    def _swelling(self, ball: ti.template(), i, row):
+        """Change of the volume of a row's cell by ball[j].p."""
+        a, p = ball[row.a].x, ball[row.a].p
+        x, q, swelling = ball[i].x - a, ball[i].p - p, ti.cast(0.0, float)
+        if ti.static(self.dim == 3):
+            b, c = ball[row.b].x - a, ball[row.c].x - a
+            turned = (ball[row.b].p - p).cross(c) + b.cross(ball[row.c].p - p)
+            swelling = (b.cross(c).dot(q) + turned.dot(x)) / -6.0
+        else:
+            b, turned = ball[row.b].x - a, ball[row.b].p - p
+            swelling = 0.5 * (b[0] * q[1] - b[1] * q[0] + turned[0] * x[1] - turned[1] * x[0])
+        return swelling
+
+    @ti.func
+    def prepare_product(self, ball: ti.template(), s):
+        """Changes of the pressures of groups."""
+        if ti.static(self.shared):
+            for g in range(self.groups):
+                swelling = ti.cast(0.0, float)
+                for k in range(self.first[g], self.first[g + 1]):
+                    member = self.member[k]
+                    if self.is_whole(member.row):
+                        swelling += self._swelling(ball, member.ball, self.row[member.row])
+                self.change[g] = self.slope[g] * swelling
+
+    @ti.func
+    def corner_product(self, ball: ti.template(), i, row, s):
+        """Rows of ball i of the product."""
+        slope, g = self._slope(ball, i, row)
+        change = slope * self._swelling(ball, i, row)
+        if ti.static(self.shared):
+            change = self.change[row.group]
+        return s * s * change * g
+
+    @ti.func
+    def corner_block(self, ball: ti.template(), i, row, s):
+        """Block that joins ball i to itself; of cells that act together, without what their others give."""
+        slope, g = self._slope(ball, i, row)
+        return s * s * slope * g.outer_product(g)
+
+
+@ti.func
+def _modulus(part, modulus, crush):
+    """Modulus of a cell, or a group, whose volume is that part of the volume at rest."""
+    return modulus + ti.select(part < CRUSHED, crush, 0.0 * crush)

@@ -8,8 +8,10 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, incidence, phase_type
+from taichi_sim.forces.element import Element
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies, FreeBodies
+from taichi_sim.integrators.free_turns import FreeTurns
 from taichi_sim.integrators.implicit_elements import StageElements
 from taichi_sim.integrators.implicit_gas import StageGas
 from taichi_sim.integrators.multilevel import Levels
@@ -99,6 +101,9 @@ class StageSolver(Verdicts):
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
         self.part = self.bodies.columns(dict.fromkeys(SUMS, self.wide))
         self.free = FreeBodies(model, self.bodies, fields)
+        self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
+        if self.turns_freely:
+            self.turns = FreeTurns(model, self.bodies, self.free, fields)
         self.levels = Levels(model, self.bodies, self.elements, fields)
         self.sum = fields.vectors(self.n + self.levels.count, self.dim)
         self.gas = None if gases is None else StageGas(gases, self.bodies, fields)
@@ -134,6 +139,8 @@ class StageSolver(Verdicts):
             v = self.base[i].v + ti.cast(self.number[self.bodies.of(i)].change, float) * self.dv[i]
             self.base[i].v = v
             self.ahead[i].v = padded_blocks.pad(v, self.dim)
+        if ti.static(self.turns_freely):
+            self.turns.step[0] = s
         self._sum_springs(self.residual, s)
         if ti.static(self.inflated):
             self.gas.push(self.base, self.product.sum, s)
@@ -522,6 +529,8 @@ class StageSolver(Verdicts):
             if self.number[self.bodies.of(i)].flies == 1.0:
                 self.base[i].v = self.q[i]
         self.free.share(self.base, self.q)
+        if ti.static(self.turns_freely):
+            self.turns.correct(self.ahead, self.base, self.q)
         for i in range(self.n):
             change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
             self.last[stage * self.n + i] = self.base[i].v - self.first[i] - change

@@ -32,6 +32,7 @@ class TRBDF2(Implicit):
 
     method = TR_BDF2
     relaxes = True
+    takes_gas = True
     tolerance = 1e-3
     reflects = True
     stages, opening = 3, 1

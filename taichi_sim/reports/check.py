@@ -18,7 +18,7 @@ from taichi_sim.analysis.methods import (
     Method,
 )
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
-from taichi_sim.analysis.stability import Stability, sinking_spring, stability, without
+from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, stability, without
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
@@ -86,7 +86,7 @@ def lines(sim: Simulation) -> Iterator[str]:
     scene, used, custom = sim.scene, sim.settings.integrator.method, sim.force_rates
     h = sim.dt / sim.substeps
     limits = sim.stability()
-    yield f"method                {used}"
+    yield f"method                {sim.settings.chosen or used}"
     tolerance, many = sim.settings.tolerance, sim.substeps
     yield (
         f"step used             {h:.4g} s{'' if many == 1 else f' ({many} substeps of {sim.dt:.4g} s)'}"
@@ -123,7 +123,7 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>44}"
     stiff = ", ".join(map(str, STIFF))
     if explicit:
-        yield f"{stiff}: {_limited(scene, custom)}, see docs/physics.md"
+        yield from _limited(scene, custom)
     else:
         yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
     if sim.undeclared_forces:
@@ -133,10 +133,13 @@ def lines(sim: Simulation) -> Iterator[str]:
     yield f"advice                {_advice(sim, limits, longer)}"
 
 
-def _limited(scene: Scene, custom: Declared) -> str:
-    """Sentence on what limits the steps of stiff methods, some of which have a limit."""
-    some = [method.name for method in STIFF if not np.isinf(stability(scene, method, None, custom).dt_any_shape)]
-    return f"springs limit none of their steps; what is taken explicitly limits {' and '.join(some)}"
+def _limited(scene: Scene, custom: Declared) -> Iterator[str]:
+    """Sentences on what limits the steps of stiff methods, some of which have a limit."""
+    for method in STIFF:
+        longest = stability(scene, method, None, custom).dt_any_shape
+        if not np.isinf(longest):
+            parts = explicit_parts(scene, method, custom)
+            yield f"{method} takes {parts} explicitly, which allow it steps of {longest:.4g} s; springs limit none"
 
 
 def _seconds(value: float) -> str:

@@ -92,6 +92,7 @@ class CellMethods:
 class _Cells(Columns, Element):
     name, method, counted = "cells", "add_cells", ("corners",)
     assumed: ClassVar = {"together": -1}
+    is_implicit = True
     features: ClassVar = {"cells that act": lambda scene: scene.cells_act()}
 
     def acts(self, scene: Any) -> bool:

@@ -1,12 +1,15 @@
 """Settings: the arguments of Simulation, checked and with every "auto" that depends on the scene alone resolved."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from taichi_sim.analysis.accuracy import layers
+from taichi_sim.analysis.choice import Demand, choose
+from taichi_sim.analysis.element_rates import declared_rates, undeclared
 from taichi_sim.analysis.late_impacts import late_rate
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import VERLET, Method
@@ -63,7 +66,8 @@ UNEQUAL_MASSES = 10.0  # ratio of masses from which one Gauss-Seidel iteration i
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Checked arguments. None for precision, arch, threads: what the process runs, or the default."""
+    """Checked arguments. None for precision, arch, threads: what the process runs, or the default. `chosen`: the reason, in
+    words, for an integrator that "auto" took."""
 
     integrator: Any
     dt: float | str
@@ -78,10 +82,12 @@ class Settings:
     driver: str
     spin: Any
     settle: float | None
+    chosen: str = ""
 
     @classmethod
-    def resolve(cls, scene: Scene, given: dict[str, Any]) -> "Settings":
-        """Arguments, else scene.settings, else defaults. Raises ValueError that names the argument and what is allowed."""
+    def resolve(cls, scene: Scene, given: dict[str, Any], forces: Sequence[Any] = ()) -> "Settings":
+        """Arguments, else scene.settings, else defaults. forces: user-defined ones. Raises ValueError that names the argument and
+        what is allowed."""
         for name in (*scene.settings, *given):
             if name not in DEFAULTS:
                 raise unknown_key(name, [*DEFAULTS, "forces"], "an argument of Simulation")
@@ -96,7 +102,8 @@ class Settings:
             validation.one_of(name, values[name], allowed)
         _check_backend(values)
         _check_contacts(values["contacts"])
-        values["integrator"] = _integrator(values["integrator"])
+        if not _auto(values["integrator"]):
+            values["integrator"] = _integrator(values["integrator"])
         for name in ("contact_iterations", "substeps"):
             if not _auto(values[name]):
                 values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
@@ -109,6 +116,8 @@ class Settings:
             values["tolerance"] = validation.number("tolerance", values["tolerance"], positive=True)
             if values["tolerance"] >= 1.0:
                 raise SceneError("tolerance", values["tolerance"], "less than 1")
+        if _auto(values["integrator"]):
+            values |= _chosen(scene, values, forces)
         return cls(**values)
 
     def iterations(self, scene: Scene, in_turn: bool) -> int:
@@ -206,6 +215,20 @@ def part_of_bound(scene: Scene, method: Method) -> float:
     return UNDAMPED if method.symplectic and not np.all(scene.damping > 0) else SAFETY
 
 
+def _chosen(scene: Scene, values: dict[str, Any], forces: Sequence[Any]) -> dict[str, Any]:
+    """The integrator, and the step, that "auto" takes with these values, and why."""
+    rule, step = values["contacts"], None
+    if not _auto(values["dt"]):
+        step = values["dt"] / (1 if _auto(values["substeps"]) else values["substeps"])
+    by_error = values["tolerance"] is not None
+    bounces = math.inf if by_error else _impact_step(scene, rule)
+    contact_step = max(LONGEST_STEP, min(_pile_step(scene, rule), bounces, _surface_step(scene, rule)))
+    demand = Demand(step, contact_step, rule != "off", by_error, part_of_bound(scene, VERLET))
+    choice = choose(scene, demand, declared_rates(scene, forces), bool(undeclared(forces)))
+    found = {"integrator": _integrator(choice.method.name), "chosen": f"{choice.method} by auto: {choice.reason}"}
+    return found if choice.step is None else found | {"dt": choice.step}
+
+
 def _auto(value: Any) -> bool:
     return isinstance(value, str) and value == "auto"
 
@@ -261,4 +284,4 @@ def _integrator(value: Any) -> Any:
     for kind in BUILT_IN:
         if kind.method.name == value:
             return kind()
-    validation.one_of("integrator", value, [kind.method.name for kind in BUILT_IN], ", or an Integrator")
+    validation.one_of("integrator", value, ["auto", *(kind.method.name for kind in BUILT_IN)], ", or an Integrator")

@@ -54,7 +54,8 @@ class Simulation(Reader):
 
     Args, all optional; what is left out is taken from scene.settings, then from the defaults in parentheses:
         integrator: a name ("explicit_euler", "symplectic_euler", "verlet", "rk4", and, for stiff springs, "xpbd",
-            "implicit_euler", "tr_bdf2") or an Integrator ("verlet").
+            "implicit_euler", "tr_bdf2"), an Integrator, or "auto": "verlet", or an implicit method where that takes far less
+            time, which `decisions` reports ("verlet").
         dt: seconds per step, or "auto": 1 ms, or 0.9 of the largest step that is safe for every shape, 0.4 where
             a spring is undamped and the method symplectic ("auto").
         tolerance: in place of dt: the error allowed in a simulated second, as a part of the scene's size; see `error` (None).
@@ -90,7 +91,7 @@ class Simulation(Reader):
         self.scene = scene = scene.frozen()
         self._given = settings
         with scene.in_file(settings):
-            self.settings = Settings.resolve(scene, settings)
+            self.settings = Settings.resolve(scene, settings, forces)
         scene.has_groups()  # a mistyped name is an error, whatever collides
         self.force_rates = declared_rates(scene, checked_forces(scene, forces))
         self._forces = tuple(forces)
@@ -331,9 +332,9 @@ class Simulation(Reader):
         return self._stepper.report() if isinstance(self._stepper, AdaptiveStepper) else None
 
     def decisions(self) -> list[str]:
-        """Decisions made during the run, each with the time from which on it holds: shorter substeps, more room for
-        contacts."""
-        return list(self._stepper.decisions)
+        """Decisions made for the run, such as the integrator, and during it, each with the time from which on it holds: shorter
+        substeps, more room for contacts."""
+        return [*filter(None, [self.settings.chosen]), *self._stepper.decisions]
 
     def scales(self) -> Scales:
         """Scales by which a run is judged."""

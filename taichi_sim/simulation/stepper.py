@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.outcome import DEEP, STARTS_DEEP, Scales, cure_of_depth, takers
-from taichi_sim.analysis.stability import Stability, present_limit
+from taichi_sim.analysis.stability import Stability, explicit_parts, present_limit
 from taichi_sim.analysis.touching import overlap, overlap_at_start
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.kernels.contacts import statistics
@@ -470,7 +470,7 @@ class Stepper:
 
     def _limiting(self, spring: int) -> str:
         if spring < 0:
-            return "membranes, cells, bending, gas and user-defined forces limit"
+            return f"{explicit_parts(self.scene, self.method, self.parts.forces.declared)} limit"
         ends = pair_in_words(self.scene.objects, *self.scene.pairs[spring].tolist())
         return f"spring {spring} ({ends}) limits"
 

@@ -246,7 +246,12 @@ BAD = [
     ("dt = 0.001", "threads = 0", 5, "simulation.threads: 0"),
     ("dt = 0.001", "arch = 'gpu'", 5, "simulation.arch: 'gpu' is not allowed; it must be 'auto', 'cpu', 'cuda'"),
     ("dt = 0.001", "precision = 'f16'", 5, "simulation.precision: 'f16' is not allowed; it must be 'f32' or 'f64'"),
-    ('"verlet"', '"verlot"', 6, "simulation.integrator: 'verlot' is not allowed; it must be 'explicit_euler', "),
+    (
+        '"verlet"',
+        '"verlot"',
+        6,
+        "simulation.integrator: 'verlot' is not allowed; it must be 'auto', 'explicit_euler', ",
+    ),
     ("restitution = 0.5", "restitution = 2", 9, "materials[0].restitution: 2.0 is not allowed; it must be from 0 to 1"),
     ("restitution = 0.5", "restitution = '1'", 9, "materials[0].restitution: '1' is not allowed; it must be a number"),
     ("restitution = 0.5", "bounce = 1", 9, "materials[0].bounce: is not a known key"),
@@ -386,7 +391,7 @@ def test_words_are_those_of_the_simulation():
     }
     assert words["arch"] == set(backend.ARCHES)
     assert words["precision"] == set(backend.PRECISIONS)
-    assert words["integrator"] == {kind.method.name for kind in BUILT_IN}
+    assert words["integrator"] == {"auto", *(kind.method.name for kind in BUILT_IN)}
     assert words["contacts"] == {"auto", *CONTACT_RULES}
     for name, allowed in WORDS.items():
         assert words[name] == set(allowed)

@@ -12,7 +12,7 @@ from taichi_sim.integrators.implicit_euler import ImplicitEuler
 
 pytestmark = pytest.mark.long_in("f32")
 
-STIFF = ("implicit_euler", "xpbd")
+STIFF = ("implicit_euler", "xpbd", pytest.param("tr_bdf2", marks=pytest.mark.long))
 
 
 def balloon(subdivisions: int, radius: float, **settings) -> ts.Scene:
@@ -34,7 +34,7 @@ def test_a_turning_balloon_keeps_its_angular_momentum(method):
         kept = sim.angular_momentum()[1] / start
     own = (1.0 + (h * spin) ** 2) ** (-0.5 / h)
     assert h > 2e-4
-    assert own - 0.003 < kept < 1.003
+    assert (0.999 if method == "tr_bdf2" else own - 0.003) < kept < 1.003
 
 
 @pytest.mark.slow
@@ -77,7 +77,9 @@ def test_a_step_of_implicit_euler_solves_its_equations_with_gas():
     assert found.passes < 400
 
 
+@pytest.mark.once
 def test_gas_limits_the_methods_that_leave_it_where_it_was():
     scene = balloon(1, 0.12, pressure=500.0, mass=0.004)
-    assert stability(scene, named("implicit_euler")).dt_any_shape == np.inf
-    assert stability(scene, named("tr_bdf2")).dt_any_shape < 2e-3
+    for name in ("implicit_euler", "tr_bdf2"):
+        assert stability(scene, named(name)).dt_any_shape == np.inf
+    assert stability(scene, named("verlet")).dt_any_shape < 2e-3

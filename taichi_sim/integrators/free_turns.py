@@ -1,0 +1,100 @@
+"""FreeTurns: the angular momentum of bodies that nothing holds, in an implicit stage."""
+
+from taichi_sim.device.engine import ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.device.model import Model
+from taichi_sim.integrators.bodies import Bodies, FreeBodies
+
+__all__ = ["FreeTurns"]
+
+SMALLEST_INERTIA = 1e-6  # of the trace, added about each axis: balls on a line have none about it
+
+
+@ti.data_oriented
+class FreeTurns:
+    """Turns the velocities v of each free body as a whole, so that what its stage left unsolved gives it no angular momentum.
+
+    Springs and elements give none at the places x where they act: sum x * m (v - q) = 0 of a solution. What that sum is of a
+    solution that is not exact, the rotation w with I w = -sum x * m (v - q) takes away; it deforms nothing.
+
+    Fields: `step` [s] of the stage; `turn` [1/s] and `centre` [m] of each body, from its first ball; in 2D with a third axis."""
+
+    def __init__(self, model: Model, bodies: Bodies, free: FreeBodies, fields: Fields) -> None:
+        self.bodies, self.dim, self.n, self.some = bodies, model.dim, model.n, free.some
+        self.mass, self.inverse_mass, self.wide = free.mass, model.inverse_mass, fields.wide
+        vector = ti.types.vector(3, self.wide)
+        self.part = bodies.columns({"moment": vector, "torque": vector, "inertia": ti.types.matrix(3, 3, self.wide)})
+        self.turn, self.centre = (fields.vectors(bodies.count, 3) for _ in range(2))
+        self.step = fields.reals(1)
+
+    @ti.func
+    def _long(self, vector):
+        """A vector, padded or not, with three components in double precision."""
+        long = ti.Vector.zero(self.wide, 3)
+        for a in ti.static(range(self.dim)):
+            long[a] = ti.cast(vector[a], self.wide)
+        return long
+
+    @ti.func
+    def _arm(self, i, b, ahead: ti.template()):
+        """Place of ball i where the elements of body b act, from the first ball of that."""
+        first = self.bodies.ball(self.bodies.first_part(b), 0)
+        s = ti.cast(self.step[0], self.wide)
+        return self._long(ahead[i].x - ahead[first].x) + s * self._long(ahead[i].v - ahead[first].v)
+
+    @ti.func
+    def correct(self, ahead: ti.template(), table: ti.template(), target: ti.template()):
+        """Turn the velocities table.v (n), which have the momentum of the velocities `target` (n). ahead (n): x and v, padded,
+        with which elements were asked last."""
+        if ti.static(self.some):
+            self.bodies.each_part(self._collect_part, (ahead, table, target))
+            self.bodies.join((self.part.moment, self.part.torque, self.part.inertia))
+            ti.loop_config(serialize=ti.static(self.bodies.few))
+            for b in range(self.bodies.count):
+                self._find_turn(b)
+            for i in range(self.n):
+                b = self.bodies.of(i)
+                if self.inverse_mass[i] > 0.0 and self.mass[b] > 0.0:
+                    arm = ti.cast(self._arm(i, b, ahead), float) - self.centre[b]
+                    table[i].v = table[i].v + self._short(self.turn[b].cross(arm))
+
+    @ti.func
+    def _short(self, vector):
+        """The components of a vector that the scene has."""
+        short = ti.Vector.zero(float, self.dim)
+        for a in ti.static(range(self.dim)):
+            short[a] = vector[a]
+        return short
+
+    @ti.func
+    def _collect_part(self, c, ahead: ti.template(), table: ti.template(), target: ti.template()):
+        moment, torque = ti.Vector.zero(self.wide, 3), ti.Vector.zero(self.wide, 3)
+        inertia, b = ti.Matrix.zero(self.wide, 3, 3), self.bodies.part[c].body
+        if self.mass[b] > 0.0:
+            for k in range(self.bodies.part[c].count):
+                i = self.bodies.ball(c, k)
+                w = ti.cast(self.inverse_mass[i], self.wide)
+                if w > 0.0:
+                    arm = self._arm(i, b, ahead)
+                    moment += arm / w
+                    torque += arm.cross(self._long(table[i].v) - self._long(target[i])) / w
+                    inertia += self._inertia(arm, 1.0 / w)
+        self.part[c].moment, self.part[c].torque, self.part[c].inertia = moment, torque, inertia
+
+    @ti.func
+    def _inertia(self, arm, mass):
+        """Inertia (3, 3) of a mass at an arm (3,)."""
+        return mass * (arm.dot(arm) * ti.Matrix.identity(self.wide, 3) - arm.outer_product(arm))
+
+    @ti.func
+    def _find_turn(self, b):
+        self.turn[b] = ti.Vector.zero(float, 3)
+        if self.mass[b] > 0.0:
+            mass = ti.cast(self.mass[b], self.wide)
+            centre = self.bodies.total(self.part.moment, b) / mass
+            inertia = self.bodies.total(self.part.inertia, b) - self._inertia(centre, mass)
+            size = inertia.trace()
+            if size > 0.0:
+                one = SMALLEST_INERTIA * ti.Matrix.identity(self.wide, 3)
+                turn = -(inertia / size + one).inverse() @ self.bodies.total(self.part.torque, b) / size
+                self.turn[b], self.centre[b] = ti.cast(turn, float), ti.cast(centre, float)

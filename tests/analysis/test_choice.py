@@ -1,0 +1,84 @@
+"""The method that `auto` takes, by the scene and by what is asked; nothing is compiled."""
+
+import numpy as np
+import pytest
+import taichi as ti
+
+import taichi_sim as ts
+from taichi_sim.simulation.settings import Settings
+
+pytestmark = pytest.mark.once
+
+
+def sheet(balls: int, **material) -> ts.Scene:
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, size=(0.8, 0.8), resolution=(balls, balls), pinned=[0], **material)
+    return scene
+
+
+def pendulum(stiffness: float) -> ts.Scene:
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [0.7, 0.0]], radius=0.05, pinned=[0])
+    scene.add_springs([[0, 1]], stiffness=stiffness)
+    return scene
+
+
+def resolved(scene: ts.Scene, **given) -> Settings:
+    return Settings.resolve(scene, {"integrator": "auto", **given})
+
+
+def test_small_scenes_and_loose_balls_keep_verlet() -> None:
+    loose = ts.Scene(dim=3)
+    loose.add_balls(np.eye(3), radius=0.1)
+    for scene, why in (
+        (loose, "nothing that is stiff limits its step"),
+        (pendulum(3e4), "too little to save any of it"),
+    ):
+        found = resolved(scene)
+        assert found.integrator.method.name == "verlet"
+        assert found.dt == "auto"
+        assert why in found.chosen
+
+
+def test_a_large_silk_cloth_takes_an_implicit_method_with_a_part_of_a_frame() -> None:
+    found = resolved(sheet(160, material="silk"))
+    assert found.integrator.method.name == "implicit_euler"
+    assert found.dt == pytest.approx(1 / 120)
+    assert found.chosen.startswith("implicit_euler by auto: verlet takes ")
+    assert found.time_step(sheet(8, material="silk"), None)[1] == 1
+
+
+def test_more_stiffness_turns_the_choice_but_a_second_order_is_worth_more_passes() -> None:
+    """Of a block of a soft material and of steel; where a tolerance is given, short steps are needed anyway."""
+    scene = ts.Scene(dim=3)
+    for modulus, method in ((2e4, "verlet"), (2e10, "implicit_euler")):
+        scene = ts.Scene(dim=3)
+        ts.shapes.jelly(scene, size=(0.5, 0.2, 0.2), resolution=(11, 5, 5), young_modulus=modulus)
+        assert resolved(scene).integrator.method.name == method
+    assert resolved(scene, tolerance=1e-3).integrator.method.name == "tr_bdf2"
+    assert resolved(scene, tolerance=1e-3).dt == "auto"
+    assert resolved(sheet(96, material="silk"), tolerance=1e-3).integrator.method.name == "verlet"
+
+
+def test_a_step_that_is_given_decides() -> None:
+    scene = pendulum(1e6)  # its bound is 2 ms
+    for dt, substeps, method in ((1e-3, "auto", "verlet"), (0.01, "auto", "implicit_euler"), (0.01, 8, "verlet")):
+        found = resolved(scene, dt=dt, substeps=substeps)
+        assert (found.integrator.method.name, found.dt) == (method, dt)
+    assert "beyond the bound of verlet, 0.002 s" in resolved(scene, dt=0.01).chosen
+
+
+def test_an_unknown_force_keeps_verlet() -> None:
+    @ti.data_oriented
+    class Push:
+        def accumulate(self, model, ball, impulse, h, time):
+            """Nothing."""
+
+    found = Settings.resolve(sheet(160, material="silk"), {"integrator": "auto"}, [Push()])
+    assert found.integrator.method.name == "verlet"
+    assert "does not declare how stiff it is" in found.chosen
+
+
+def test_a_method_that_is_named_is_taken() -> None:
+    found = Settings.resolve(sheet(160, material="silk"), {})
+    assert (found.integrator.method.name, found.chosen) == ("verlet", "")
