@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from element_blocks import downhill
 from physics_support import F64, simulate
 
 import taichi_sim as ts
@@ -9,7 +10,6 @@ from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.integrators import TRBDF2, ImplicitEuler
 from taichi_sim.shapes.jelly_material import box_cells
-from tests.forces.test_bricks import downhill
 
 
 def block(dim: int, number: int, bulk: float, off: float = 0.0, velocity=np.zeros_like) -> ts.Scene:
