@@ -7,6 +7,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.integrators.newton_decisions import (
     CODES,
     DOUBTFUL,
+    HELD,
     READY,
     SEARCHING,
     SOLVED,
@@ -37,11 +38,11 @@ class Launched:
     _solve, compare = solve_stage, compare_potentials
 
     def __init__(self, solver: Any) -> None:
-        self.solver = solver
+        self.solver, self.holds = solver, solver.holds
         self.searches: dict[tuple[int, int], int] = {}  # by stage and iteration: how many it took last
         self.doubtful_stages: set[int] = set()  # whose guess was in doubt before
         for launch, names in (
-            (self._run, ("start_search", "search", "evaluate", "judge_potentials")),
+            (self._run, ("start_search", "search", "evaluate", "judge_potentials", "release")),
             (self._run_stage, ("begin", "end")),
             (self._run_step, ("move", "linearise")),
             (self._ask, ("foremost", "report")),
@@ -76,9 +77,12 @@ class Launched:
             launched.move(s)
             launched.evaluate()
             taken, phase = divmod(launched.report(), CODES)
-            if phase in (READY, SOLVED):
+            if phase in (READY, HELD, SOLVED):
                 self.searches[stage, iteration] = taken
                 iteration += 1
+            if phase == HELD:
+                launched.release()
+                phase = launched.foremost()
         launched.end(stage)
 
     def _search(self, stage: int, iteration: int, taken: int) -> None:

@@ -11,12 +11,15 @@ from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies, FreeBodies
 from taichi_sim.integrators.coarse_preconditioner import Aggregates
+from taichi_sim.integrators.held_balls import HeldBalls
 from taichi_sim.integrators.implicit_elements import StageElements
 from taichi_sim.integrators.implicit_gas import StageGas
 from taichi_sim.integrators.newton_decisions import (
     BEGUN,
     DOUBTFUL,
     FOUND,
+    HELD,
+    HELD_NUMBERS,
     NUMBERS,
     READY,
     SEARCHING,
@@ -52,6 +55,7 @@ SUMS = (
     ),
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
+HELD_SUMS = ("held", "pull")  # where balls may be held: so many; what would pull at them
 
 
 @ti.data_oriented
@@ -78,6 +82,7 @@ class StageSolver(Verdicts):
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
+        self.holds = False
         if not self.has_springs and not self.has_elements:
             return
         scene, width = model.scene, padded_blocks.width(self.dim)
@@ -96,9 +101,14 @@ class StageSolver(Verdicts):
             self._own_springs(springs, fields)
         self.elements = StageElements(elements, model, fields) if elements else None
         self.bodies = Bodies(model, self.elements.ties if self.elements is not None else NO_TIES, fields)
-        self.number = fields.table(dict.fromkeys(NUMBERS, self.wide), self.bodies.count)
+        self.holds = method.contacts.plan.walls
+        if self.holds:
+            self.held = HeldBalls(model, method.contacts.walls, self.bodies, fields)
+        numbers = (*NUMBERS, *(HELD_NUMBERS if self.holds else ()))
+        self.number = fields.table(dict.fromkeys(numbers, self.wide), self.bodies.count)
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
-        self.part = self.bodies.columns(dict.fromkeys(SUMS, self.wide))
+        sums = (*SUMS, *(HELD_SUMS if self.holds else ()))
+        self.part = self.bodies.columns(dict.fromkeys(sums, self.wide))
         self.free = FreeBodies(model, self.bodies, fields)
         self.aggregates = Aggregates(model, springs, self.bodies, self.spring_block, self.elements, fields)
         self.slow = self.aggregates.missing
@@ -158,6 +168,8 @@ class StageSolver(Verdicts):
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
         self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
+        if ti.static(self.holds):
+            self.bodies.join((self.part.held,))
         if ti.static(self.aggregates.active):
             self.aggregates.factor(self)
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -169,6 +181,8 @@ class StageSolver(Verdicts):
                 self.number[b].within = ti.max(self.number[b].force, within)
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
+                if ti.static(self.holds):
+                    self.number[b].held = self.bodies.total(self.part.held, b)
                 self.judge_guess(b)
 
     @ti.func
@@ -187,13 +201,13 @@ class StageSolver(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         if self.begins(self.bodies.part[c].body):
-            residual = force = kinetic = within = noise = load = ti.cast(0.0, self.wide)
+            residual = force = kinetic = within = noise = load = held = ti.cast(0.0, self.wide)
             change = self.free.change[self.bodies.part[c].body]
             alike = self._kick_of_all(self.bodies.part[c].body)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
-                self.sum[i] = r
+                self._keep(i, r)
                 w = self.model.inverse_mass[i]
                 inverse = ti.Matrix.zero(float, self.dim, self.dim)
                 if w > 0.0:
@@ -211,6 +225,8 @@ class StageSolver(Verdicts):
                     blur = (s * self.rough[i] + self.eps * block.trace() / s) * ti.abs(self.base[i].x).max()
                     blur += self.eps * ti.abs(self.first[i]).max() / w
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
+                    if ti.static(self.holds):
+                        held += ti.select(self.held.holds(i), 1.0, 0.0)
                 self.inverse_block[i] = inverse
             self.part[c].residual = residual
             self.part[c].force = force
@@ -218,7 +234,17 @@ class StageSolver(Verdicts):
             self.part[c].within = within
             self.part[c].noise = noise
             self.part[c].load = load
+            if ti.static(self.holds):
+                self.part[c].held = held
             self._measure_work(c)
+
+    @ti.func
+    def _keep(self, i, r):
+        """Keep the residual r of ball i, but for what surfaces that hold it bear."""
+        self.sum[i] = r
+        if ti.static(self.holds):
+            self.held.note_reaction(i, r)
+            self.sum[i] = self.held.along(i, r)
 
     @ti.func
     def _kick_of_all(self, b):
@@ -229,10 +255,11 @@ class StageSolver(Verdicts):
         return kick
 
     @ti.func
-    def _sizes(self, i, r, w, inverse):
-        """Parts of ball i, of inverse mass w, in `residual`, `force` and `kinetic`."""
+    def _sizes(self, i, whole_r, w, inverse):
+        """Parts of ball i, of inverse mass w and with all of its residual, in `residual`, `force` and `kinetic`."""
+        r = self.sum[i]
         own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
-        f = r - own / w
+        f = whole_r - own / w
         kinetic = ti.max(own.dot(own), whole.dot(whole)) / w
         return ti.cast(ti.Vector([r.dot(inverse @ r), f.dot(inverse @ f), kinetic]), self.wide)
 
@@ -293,7 +320,7 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
-                self.sum[i] = r
+                self._keep(i, r)
                 w = self.model.inverse_mass[i]
                 if w > 0.0:
                     sizes += self._sizes(i, r, w, self.inverse_block[i])
@@ -363,6 +390,10 @@ class StageSolver(Verdicts):
             self.dv[i] = self.last[stage * self.n + i]
         self.free.add_change(self.dv, self.base, self.q)
         self.free.find_means(self.base, self.q)
+        if ti.static(self.holds):
+            for i in range(self.n):
+                self.base[i].v = self.held.choose(i, self.base[i].v, self.q[i])
+                self.dv[i] = self.held.along(i, self.dv[i])
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             self.begin_body(b)
@@ -389,6 +420,8 @@ class StageSolver(Verdicts):
                 p = self.inverse_block[i] @ self.sum[i]
                 if ti.static(self.aggregates.active):
                     p += self.aggregates.shift(i)
+                if ti.static(self.holds):
+                    p = self.held.along(i, p)
                 self.product.p[i] = padded_blocks.pad(p, self.dim)
 
     @ti.func
@@ -482,6 +515,8 @@ class StageSolver(Verdicts):
                 i = self.bodies.ball(c, k)
                 self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
                 r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
+                if ti.static(self.holds):
+                    r = self.held.along(i, r)
                 z = self.inverse_block[i] @ r
                 self.sum[i] = r
                 self.product.sum[i] = padded_blocks.pad(z, self.dim)
@@ -499,19 +534,65 @@ class StageSolver(Verdicts):
                 z = self.product.sum[i]
                 if ti.static(self.aggregates.active):
                     z += padded_blocks.pad(self.aggregates.shift(i), self.dim)
+                if ti.static(self.holds):
+                    z = padded_blocks.pad(self.held.along(i, padded_blocks.cut(z, self.dim)), self.dim)
                 self.product.p[i] = z + step * self.product.p[i]
+
+    @ti.func
+    def release(self):
+        """Release balls from surfaces that would have to pull at them, of bodies that are solved but for that."""
+        self.bodies.each_part(self._sum_pulls, ())
+        self.bodies.join((self.part.pull,))
+        self.bodies.each_part(self._release_part, ())
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            if self.number[b].phase == HELD:
+                self.judge_pull(b, self.bodies.total(self.part.pull, b))
+
+    @ti.func
+    def _sum_pulls(self, c):
+        if self.number[self.bodies.part[c].body].phase == HELD:
+            pull = ti.cast(0.0, self.wide)
+            for k in range(self.bodies.part[c].count):
+                i = self.bodies.ball(c, k)
+                if self.held.holds(i):
+                    p = self.held.pull(i)
+                    pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
+            self.part[c].pull = pull
+
+    @ti.func
+    def _release_part(self, c):
+        b = self.bodies.part[c].body
+        if self.number[b].phase == HELD:
+            if self.bodies.total(self.part.pull, b) > self.number[b].target:
+                for k in range(self.bodies.part[c].count):
+                    i = self.bodies.ball(c, k)
+                    if self.held.holds(i):
+                        self.held.release(i, self.base[i].v)
+
+    @ti.func
+    def velocity(self, i):
+        """Velocity [m/s] with which ball i moves at the end of the last stage, with what holds it."""
+        v = self.base[i].v
+        if ti.static(self.holds):
+            v -= self.held.reaction[i]
+        return v
 
     @ti.func
     def end(self, stage):
         """Give bodies that fly the velocities q, and free ones the momentum that they should have; note the change of this stage,
-        and how well it was solved."""
+        and how well it was solved. What surfaces give to balls that they hold is left to contacts."""
         for i in range(self.n):
+            if ti.static(self.holds):
+                self.base[i].v = self.base[i].v + self.held.reaction[i]
             if self.number[self.bodies.of(i)].flies == 1.0:
                 self.base[i].v = self.q[i]
+                if ti.static(self.holds):
+                    self.held.reaction[i] = ti.Vector.zero(float, self.dim)
         self.free.share(self.base, self.q)
         for i in range(self.n):
             change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
-            self.last[stage * self.n + i] = self.base[i].v - self.first[i] - change
+            self.last[stage * self.n + i] = self.velocity(i) - self.first[i] - change
         self.judge_all()
 
     @ti.func
