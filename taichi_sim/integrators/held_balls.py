@@ -27,32 +27,44 @@ SWEEPS = 32  # over the surfaces of a ball, where it has several, for the impuls
 class HeldBalls:
     """Balls (n) that surfaces hold in a stage. walls: a contacts.Walls.
 
-    Fields: `normals` (n): the projection on the directions along which a ball is held, 0 of most; `reaction` (n) [m/s]: the change of
-    velocity by which the solution lacks what surfaces give; `contact`: of ball i and its surface k: whether it `holds`, and its
-    `push` [m/s].
+    Fields: `normals` (n): the projection on the directions along which a ball is held, 0 of most; `reaction` (n) [m/s]: what the
+    solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
+    surface k: whether it `holds`, the `target` of the speed away from it, and its `push` [m/s].
     """
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
-        self.contact = fields.table({"holds": ti.i32, "push": fields.real}, model.n * walls.count)
+        self.contact = fields.table(
+            {"holds": ti.i32, "target": fields.real, "push": fields.real}, model.n * walls.count
+        )
         self.joined = fields.integers((bodies.joined[bodies.body] & ~model.scene.pinned).astype(np.int32))
 
     @ti.func
-    def choose(self, i, v, q):
-        """Choose the surfaces that hold ball i: those that bore a load in the step before, or that it would go into at the velocity q
-        that it has without elements. Returns v with the velocity of these along their normals."""
-        held = 0
-        if self.joined[i] == 1 and self.walls.touching[i] > 0:
-            for k in range(self.walls.count):
-                c = i * self.walls.count + k
-                holds = 0
+    def choose(self, i, start, q, s, meets):
+        """Choose the surfaces that hold ball i in a stage of s seconds from `start`, its place and velocity.
+
+        They are those that bore a load in the step before; those that it would go into at the velocity q that it has without
+        elements; and, if it `meets` any in this stage, the planes that it would go through. Returns its velocity, with which
+        it is at these when the stage ends: where it bounces it is elsewhere, but not in them.
+        """
+        held, v = 0, start.v
+        for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
+            c, holds = i * self.walls.count + k, False
+            if k < self.walls.planes.count or self.walls.touching[i] > 0:
+                n = self.walls.normal(i, k)
+                approach = -n.dot(self.walls.relative(q, i, k))
                 if self.walls.contact[c].role == RESTING:
-                    approach = self.walls.normal(i, k).dot(self.walls.relative(q, i, k))
-                    holds = ti.cast(self.walls.contact[c].impulse > 0.0 or approach < 0.0, ti.i32)
-                self.contact[c].holds = holds
-                held += holds
+                    holds = self.walls.contact[c].impulse > 0.0 or approach > 0.0
+                    self.contact[c].target = 0.0
+                elif meets and k < self.walls.planes.count:
+                    ball = self.walls.state.ball[i]
+                    gap = ti.max(0.0, self.walls.planes.gap(ball.x, i, k)) + n.dot(start.x - ball.x)
+                    holds = s * approach > gap
+                    self.contact[c].target = -gap / s
+            self.contact[c].holds = ti.cast(holds, ti.i32)
+            held += ti.cast(holds, ti.i32)
         self.normals[i] = ti.Matrix.zero(float, self.dim, self.dim)
         self.reaction[i] = ti.Vector.zero(float, self.dim)
         if held > 0:
@@ -61,15 +73,16 @@ class HeldBalls:
 
     @ti.func
     def _collect(self, i, v):
-        """Note the directions along which ball i is held; v with the velocities of its surfaces along these."""
+        """Note the directions along which ball i is held; v with the target speeds of its surfaces along these."""
         normals = ti.Matrix.zero(float, self.dim, self.dim)
         for k in range(self.walls.count):
-            if self.contact[i * self.walls.count + k].holds == 1:
+            c = i * self.walls.count + k
+            if self.contact[c].holds == 1:
                 n = self.walls.normal(i, k)
                 across = n - normals @ n
                 square = across.dot(across)
                 if square > LEAST_SQUARE:
-                    v -= n.dot(self.walls.relative(v, i, k)) / square * across
+                    v += (self.contact[c].target - n.dot(self.walls.relative(v, i, k))) / square * across
                     normals += across.outer_product(across) / square
         self.normals[i] = normals
         return v
@@ -91,7 +104,7 @@ class HeldBalls:
 
     @ti.func
     def pull(self, i):
-        """The part of the impulse on ball i, which is held, that its surfaces would have to pull with [N s]; notes their pushes."""
+        """Impulse [N s] with which the surfaces of ball i, which is held, would have to pull at it; notes their pushes."""
         rest = -self.reaction[i]
         first, number = i * self.walls.count, 0
         for c in range(first, first + self.walls.count):
@@ -107,10 +120,10 @@ class HeldBalls:
         return rest / self.model.inverse_mass[i]
 
     @ti.func
-    def release(self, i, v):
-        """Release ball i, of the velocity v, from the surfaces that do not push; see `pull`."""
+    def release(self, i):
+        """Release ball i from the surfaces that do not push; see `pull`."""
         first = i * self.walls.count
         for c in range(first, first + self.walls.count):
             if self.contact[c].push == 0.0:
                 self.contact[c].holds = 0
-        self._collect(i, v)
+        self._collect(i, ti.Vector.zero(float, self.dim))

@@ -76,6 +76,7 @@ class StageSolver(Verdicts):
                  fields: Fields, method: Any) -> None:  # fmt: skip
         self.model, self.springs = model, springs
         self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
+        self.opening = method.opening
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.kick, self.first = (fields.vectors(self.n, self.dim) for _ in range(3))
@@ -382,7 +383,7 @@ class StageSolver(Verdicts):
     # Newton's iterations
 
     @ti.func
-    def begin(self, stage):
+    def begin(self, s, stage):
         """The first guess: the change of the step before, in the frame of the body, and that of its centre of mass now."""
         for i in range(self.n):
             self.first[i] = self.base[i].v
@@ -392,7 +393,7 @@ class StageSolver(Verdicts):
         self.free.find_means(self.base, self.q)
         if ti.static(self.holds):
             for i in range(self.n):
-                self.base[i].v = self.held.choose(i, self.base[i].v, self.q[i])
+                self.base[i].v = self.held.choose(i, self.base[i], self.q[i], s, stage >= self.opening)
                 self.dv[i] = self.held.along(i, self.dv[i])
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
@@ -568,7 +569,7 @@ class StageSolver(Verdicts):
                 for k in range(self.bodies.part[c].count):
                     i = self.bodies.ball(c, k)
                     if self.held.holds(i):
-                        self.held.release(i, self.base[i].v)
+                        self.held.release(i)
 
     @ti.func
     def velocity(self, i):

@@ -72,8 +72,8 @@ NUMBERS = (
 HELD_NUMBERS = ("held", "releases")  # where balls may be held: so many are; so many times some were released
 TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
-# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it is
-# solved, if nothing has to pull at the balls that surfaces hold.
+# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
+# is solved, if nothing has to pull at the balls that surfaces hold.
 SOLVED, HELD, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(10)
 
 
@@ -81,7 +81,7 @@ def solve_stage(self, s, stage):
     """A stage of s seconds, from `base`: Newton's method, in each iteration conjugate gradients for the change. Compiled for one
     thread, where every loop runs inside a kernel, and run by Python, where each line launches a kernel with parallel loops.
     What is done acts on the bodies that are in the phase for it, and leaves the others as they are."""
-    self.begin(stage)
+    self.begin(s, stage)
     phase = BEGUN
     while phase != SOLVED:
         if phase == READY:
@@ -96,11 +96,9 @@ def solve_stage(self, s, stage):
                 self.evaluate()
             else:
                 self.linearise(s)
-        phase = self.foremost()
-        if ti.static(self.holds):
-            if phase == HELD:
+            if ti.static(self.holds):
                 self.release()
-                phase = self.foremost()
+        phase = self.foremost()
     self.end(stage)
 
 
@@ -197,7 +195,7 @@ class Verdicts:
 
     @ti.func
     def judge_pull(self, b, pull):
-        """The phase of body b, at the balls of which surfaces would have to pull with impulses of this size [J]: where that is more
+        """The phase of body b, at balls of which surfaces would have to pull with impulses of this size [J]: where that is more
         than the residual may be, it goes on without them."""
         self.number[b].phase = SOLVED
         if pull > self.number[b].target:
