@@ -19,7 +19,7 @@ from taichi_sim.kernels.contacts.kinds import RESTING
 
 __all__ = ["HeldBalls"]
 
-LEAST_SQUARE = 1e-4  # of the sine between a normal and those before it: below, it adds no direction
+LEAST_SQUARE = 0.25  # of the sine between a normal and those before it: below, it adds no direction
 SWEEPS = 32  # over the surfaces of a ball, where it has several, for the impulses of each
 
 
@@ -69,12 +69,15 @@ class HeldBalls:
         self.reaction[i] = ti.Vector.zero(float, self.dim)
         if held > 0:
             v = self._collect(i, v)
+            if not self.holds(i):
+                v = start.v
         return v
 
     @ti.func
     def _collect(self, i, v):
-        """Note the directions along which ball i is held; v with the target speeds of its surfaces along these."""
-        normals = ti.Matrix.zero(float, self.dim, self.dim)
+        """Note the directions along which ball i is held; v with the target speeds of its surfaces along these. In a narrow wedge
+        it is not held: contacts there are far from solved."""
+        normals, first, narrow = ti.Matrix.zero(float, self.dim, self.dim), ti.Vector.zero(float, self.dim), False
         for k in range(self.walls.count):
             c = i * self.walls.count + k
             if self.contact[c].holds == 1:
@@ -83,8 +86,11 @@ class HeldBalls:
                 square = across.dot(across)
                 if square > LEAST_SQUARE:
                     v += (self.contact[c].target - n.dot(self.walls.relative(v, i, k))) / square * across
+                    first = ti.select(normals.trace() > 0.0, first, n)
                     normals += across.outer_product(across) / square
-        self.normals[i] = normals
+                else:
+                    narrow = narrow or n.dot(first) < 0.0
+        self.normals[i] = ti.select(narrow, 0.0 * normals, normals)
         return v
 
     @ti.func
