@@ -94,17 +94,14 @@ def test_tr_bdf2_takes_as_much_angular_momentum_as_said():
 # Loads at contacts ------------------------------------------------------------------------------------------------------
 
 
-def column_at_rest(n, stiffness, damping, gravity=G, pinned=(), floor=True):
-    """A column of balls of 1 kg on a floor, or on a pinned ball, joined by springs that bear the weight above them."""
+def column_at_rest(n, stiffness, damping, gravity=G, pinned=()):
+    """A column of balls of 1 kg on a floor, joined by springs that bear the weight above them."""
     scene = ts.Scene(dim=2, gravity=(0.0, -gravity))
     balls = scene.add_balls([[0.0, 0.02 + 0.1 * i] for i in range(n)], radius=0.02, mass=1.0, pinned=pinned)
     pairs = np.stack([balls[:-1], balls[1:]], axis=1)
     shortened = G * np.arange(n - 1, 0, -1) / stiffness
     scene.add_springs(pairs, stiffness=stiffness, damping=damping, rest_length=0.1 + shortened)
-    if floor:
-        scene.add_wall((0.0, 1.0))
-    else:
-        scene.add_balls([[0.0, -0.02]], radius=0.02, pinned=True)
+    scene.add_wall((0.0, 1.0))
     return scene
 
 
@@ -116,15 +113,12 @@ def load_of_lowest_spring(scene, sim):
 @pytest.mark.parametrize(
     ("method", "n", "stiffness", "damping", "h", "within"),
     [
-        ("implicit_euler", 10, 1e5, 20.0, 4e-3, 0.03),  # on a ball: 258 N in place of 90
-        pytest.param("implicit_euler", 6, 3e5, 50.0, 2e-3, 0.03, marks=pytest.mark.slow),
-        pytest.param("tr_bdf2", 10, 1e5, 20.0, 4e-3, 0.1, marks=pytest.mark.slow),
         ("xpbd", 10, 1e5, 20.0, 2e-3, 0.1),
         pytest.param("verlet", 6, 1e5, 600.0, 1e-3, 0.1, marks=pytest.mark.slow),
     ],
 )
 def test_springs_at_a_contact_bear_as_much_too_much_as_said(method, n, stiffness, damping, h, within):
-    scene = column_at_rest(n, stiffness, damping, floor=method in ("xpbd", "verlet"))
+    scene = column_at_rest(n, stiffness, damping)
     sim = simulate(scene, integrator=method, dt=h)
     told = said(sim, "load at contacts")
     assert told.cure.startswith("take verlet, which knows of contacts, or substeps of") == (method != "verlet")
@@ -142,7 +136,7 @@ def test_springs_at_a_contact_bear_as_much_too_much_as_said(method, n, stiffness
 
 
 @pytest.mark.parametrize("h", [1 / 60, 2e-3])
-@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+@pytest.mark.parametrize("method", ["implicit_euler", pytest.param("tr_bdf2", marks=pytest.mark.slow)])
 def test_springs_on_a_floor_bear_the_weight_above_them(method, h):
     n = 7
     scene = column_at_rest(n, 3e5, 40.0)
