@@ -135,15 +135,15 @@ def test_springs_at_a_contact_bear_as_much_too_much_as_said(method, n, stiffness
         assert shorter.share(sim.settings.integrator.method, step) == pytest.approx(contact_loads.SHOWS, rel=0.1)
 
 
-@pytest.mark.parametrize("h", [1 / 60, 2e-3])
+@pytest.mark.parametrize(("h", "within"), [(1 / 60, 0.1), (2e-3, 1e-6 if PRECISION == "f64" else 0.05)])
 @pytest.mark.parametrize("method", ["implicit_euler", pytest.param("tr_bdf2", marks=pytest.mark.slow)])
-def test_springs_on_a_floor_bear_the_weight_above_them(method, h):
-    n = 7
+def test_springs_on_a_floor_bear_the_weight_above_them(method, h, within):
+    n = 7  # at 1/60 s the tolerance of the solution shows; a fall within the stage would add 84 times the weight
     scene = column_at_rest(n, 3e5, 40.0)
     with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
         assert said(sim, "load at contacts") is None
         sim.run(1.0)
-        assert load_of_lowest_spring(scene, sim) == pytest.approx(G * (n - 1), rel=1e-6 if PRECISION == "f64" else 0.05)
+        assert load_of_lowest_spring(scene, sim) == pytest.approx(G * (n - 1), rel=within)
 
 
 def test_bodies_that_rest_on_nothing_bear_nothing_too_much():
