@@ -208,7 +208,7 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
-                self._keep(i, r)
+                kept = self._keep(i, r)
                 w = self.model.inverse_mass[i]
                 inverse = ti.Matrix.zero(float, self.dim, self.dim)
                 if w > 0.0:
@@ -216,7 +216,7 @@ class StageSolver(Verdicts):
                     if ti.static(self.has_elements):
                         block = self.elements.block(i)
                     inverse = self._inverse(i, w, block)
-                    sizes = self._sizes(i, r, w, inverse)
+                    sizes = self._sizes(i, kept, r, w, inverse)
                     residual += sizes[0]
                     force += sizes[1]
                     kinetic += sizes[2]
@@ -242,10 +242,12 @@ class StageSolver(Verdicts):
     @ti.func
     def _keep(self, i, r):
         """Keep the residual r of ball i, but for what surfaces that hold it bear."""
-        self.sum[i] = r
+        kept = r
         if ti.static(self.holds):
             self.held.note_reaction(i, r)
-            self.sum[i] = self.held.along(i, r)
+            kept = self.held.along(i, r)
+        self.sum[i] = kept
+        return kept
 
     @ti.func
     def _kick_of_all(self, b):
@@ -256,12 +258,11 @@ class StageSolver(Verdicts):
         return kick
 
     @ti.func
-    def _sizes(self, i, whole_r, w, inverse):
-        """Parts of ball i, of inverse mass w and with all of its residual, in `residual`, `force` and `kinetic`."""
-        r = self.sum[i]
-        own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
-        f = whole_r - own / w
-        kinetic = ti.max(own.dot(own), whole.dot(whole)) / w
+    def _sizes(self, i, r, whole, w, inverse):
+        """Parts of ball i, of inverse mass w and the residual r of a whole one, in `residual`, `force` and `kinetic`."""
+        own, change = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
+        f = whole - own / w
+        kinetic = ti.max(own.dot(own), change.dot(change)) / w
         return ti.cast(ti.Vector([r.dot(inverse @ r), f.dot(inverse @ f), kinetic]), self.wide)
 
     @ti.func
@@ -321,10 +322,10 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
-                self._keep(i, r)
+                kept = self._keep(i, r)
                 w = self.model.inverse_mass[i]
                 if w > 0.0:
-                    sizes += self._sizes(i, r, w, self.inverse_block[i])
+                    sizes += self._sizes(i, kept, r, w, self.inverse_block[i])
             self.part[c].residual, self.part[c].force, self.part[c].kinetic = sizes[0], sizes[1], sizes[2]
             self._measure_work(c)
 
