@@ -1,10 +1,11 @@
 """Load that elements bear too much at a contact, with methods that solve them before contacts. No Taichi.
 
-Implicit Euler and xpbd solve springs and elements as if there were no contact, so what rests on one moves into it, and the
-contact stops it afterwards. At rest a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m.
-Elements of the stiffness k and the damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of
-the weight. Of TR-BDF2, which has two stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second.
-Verlet solves damping likewise where that takes several stages in half a step, and columns show 0.4 of the second part.
+Xpbd solves springs as if there were no contact, implicit Euler and TR-BDF2 springs and elements as if there were none of balls
+with balls: what rests on walls and colliders they hold. So what rests moves into the contact, which stops it afterwards. At rest
+a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m. Elements of the stiffness k and the
+damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of the weight. Of TR-BDF2, which has two
+stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second. Verlet solves damping likewise where
+that takes several stages in half a step, and columns show 0.4 of the second part.
 """
 
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from taichi_sim.scene.solids import SOLIDS, shape_gradients
 
 __all__ = ["Excess", "at_contacts", "cure", "sentence"]
 
+TOUCHES = 0.5  # of a radius: balls lower than that are those that a body may rest on, or its lowest layer
 SHOWS = 0.05  # of the weight: an excess that is worth a word
 PARTS = {
     TR_BDF2.name: (0.41, 0.85),
@@ -82,15 +84,18 @@ def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
     mass = np.bincount(body[layer], scene.mass[layer], scene.n_balls)
     held = np.bincount(body[scene.pinned], minlength=scene.n_balls) > 0
     rest = (mass > 0.0) & ~held & (np.bincount(body, minlength=scene.n_balls) > 1)
-    if not rest.any() or not (scene.walls or scene.colliders or len(np.unique(body)) > 1):
+    if not rest.any():
         return None
     rates = [
         np.where(rest, _of_layers(kinds, body, layer, up), 0.0) / np.maximum(mass, 1e-300)
         for kinds in (elastic, damping)
     ]
     found = [Excess(int(b), float(rates[0][b]), float(rates[1][b])) for b in np.flatnonzero(rest)]
-    most = max(found, key=lambda one: one.share(method, h))
-    return most if most.share(method, h) > 0.0 else None
+    found = sorted((one for one in found if one.share(method, h) > 0.0), key=lambda one: -one.share(method, h))
+    if not method.holds_at_surfaces and (scene.walls or scene.colliders):
+        return found[0] if found else None
+    extents = _Extents(scene, body, up)
+    return next((one for one in found if extents.may_rest_on_others(body[one.ball])), None)
 
 
 def _springs(scene: Scene, strength: Floats) -> list[Quadratic]:
@@ -126,7 +131,27 @@ def _lowest(scene: Scene, body: NDArray[np.int64], up: Floats) -> NDArray[np.boo
     bottom = scene.position @ up - scene.radius
     lowest = np.full(scene.n_balls, np.inf)
     np.minimum.at(lowest, body, bottom)
-    return np.asarray(bottom <= lowest[body] + 0.5 * scene.radius, dtype=np.bool_)
+    return np.asarray(bottom <= lowest[body] + TOUCHES * scene.radius, dtype=np.bool_)
+
+
+class _Extents:
+    """Boxes about bodies, along and across `up`."""
+
+    def __init__(self, scene: Scene, body: NDArray[np.int64], up: Floats) -> None:
+        height, radius = scene.position @ up, scene.radius
+        level = scene.position - height[:, None] * up
+        number = int(body.max()) + 1
+        self.bottom, self.slack = np.full(number, np.inf), np.zeros(number)
+        self.low, self.high = np.full((number, scene.dim), np.inf), np.full((number, scene.dim), -np.inf)
+        np.minimum.at(self.bottom, body, height - radius)
+        np.maximum.at(self.slack, body, TOUCHES * radius)
+        np.minimum.at(self.low, body, level - radius[:, None])
+        np.maximum.at(self.high, body, level + radius[:, None])
+
+    def may_rest_on_others(self, b: int) -> bool:
+        """True if another body reaches below body b, and is not beside it."""
+        over = np.all((self.low < self.high[b]) & (self.high > self.low[b]), axis=1)
+        return bool(np.any(over & (self.bottom < self.bottom[b] - self.slack[b])))
 
 
 def _of_layers(kinds: list[Quadratic], body: NDArray[np.int64], layer: NDArray[np.bool_], up: Floats) -> Floats:
@@ -144,9 +169,10 @@ def _of_layers(kinds: list[Quadratic], body: NDArray[np.int64], layer: NDArray[n
 def sentence(excess: Excess, method: Method, h: float) -> str:
     """The excess in words."""
     solved = "strong damping" if method is VERLET else "springs and elements"
+    which, ground = (" of balls", "other balls") if method.holds_at_surfaces else ("", "its lowest balls")
     return (
-        f"{method} solves {solved} before contacts: where the body of ball {excess.ball} rests on its lowest balls, what is"
-        f" next to them bears {excess.share(method, h):.2g} of its weight too much"
+        f"{method} solves {solved} before contacts{which}: where the body of ball {excess.ball} rests on {ground}, what is next"
+        f" to its lowest balls bears {excess.share(method, h):.2g} of its weight too much"
     )
 
 

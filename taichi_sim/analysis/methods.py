@@ -52,8 +52,9 @@ class Method:
     undamped springs resonates with the step, so that automatic steps are shorter there. `conserves`: it damps nothing of its
     own. `contact_solves`: in a step, each for its part of the load. `solves_gas`: together with springs. `solves_elements`: the
     same for elements that give their derivatives. `single_pass`: each spring gives once in a step, or by halves in two
-    passes, what it would if it were alone. `contacts_follow`: springs are solved before it knows of contacts. `swing_power`:
-    of the elastic part of the energy, with which `swing` grows.
+    passes, what it would if it were alone. `contacts_follow`: springs are solved before it knows of contacts.
+    `holds_at_surfaces`: but not before those with walls and colliders. `swing_power`: of the elastic part of the energy, with
+    which `swing` grows.
 
     A method that can say more overrides the functions below:
 
@@ -72,6 +73,7 @@ class Method:
     solves_elements: bool = False
     single_pass: bool = False
     contacts_follow: bool = False
+    holds_at_surfaces: bool = False
     swing_power: float = 1.0
 
     def __str__(self) -> str:
@@ -93,7 +95,7 @@ class Method:
         return 0.0
 
     def precedes_contacts(self, scene: Scene, h: float) -> bool:
-        """True if springs, or their damping, are solved before it knows of contacts in steps of h seconds."""
+        """True if springs, or their damping, are solved before it knows of contacts of balls in steps of h seconds."""
         return self.contacts_follow
 
     def spring_damping(self, scene: Scene, h: float) -> Floats:
@@ -258,6 +260,7 @@ IMPLICIT_EULER = _BackwardEuler(
     solves_gas=True,
     solves_elements=True,
     contacts_follow=True,
+    holds_at_surfaces=True,
     iterations=5,
 )
 # its two stages take explicit forces from old places
@@ -269,6 +272,7 @@ TR_BDF2 = _TRBDF2(
     solves_gas=True,
     solves_elements=True,
     contacts_follow=True,
+    holds_at_surfaces=True,
 )
 
 BUILT_IN_METHODS = {

@@ -37,12 +37,12 @@ class Launched:
     _solve, compare = solve_stage, compare_potentials
 
     def __init__(self, solver: Any) -> None:
-        self.solver = solver
+        self.solver, self.holds = solver, solver.holds
         self.searches: dict[tuple[int, int], int] = {}  # by stage and iteration: how many it took last
         self.doubtful_stages: set[int] = set()  # whose guess was in doubt before
         for launch, names in (
-            (self._run, ("start_search", "search", "evaluate", "judge_potentials")),
-            (self._run_stage, ("begin", "end")),
+            (self._run, ("start_search", "search", "evaluate", "judge_potentials", "release")),
+            (self._run_stage, ("end",)),
             (self._run_step, ("move", "linearise")),
             (self._ask, ("foremost", "report")),
         ):
@@ -58,7 +58,7 @@ class Launched:
 
     def _run_ahead(self, s: float, stage: int) -> None:
         launched: Any = self  # whose kernels have names
-        launched.begin(stage)
+        launched.begin(s, stage)
         launched.move(s)
         launched.linearise(s)
         iteration, taken, phase = 0, 0, DOUBTFUL if stage in self.doubtful_stages else READY
@@ -75,6 +75,8 @@ class Launched:
                 self._search(stage, iteration, taken if phase == SEARCHING else 0)
             launched.move(s)
             launched.evaluate()
+            if self.holds:
+                launched.release()
             taken, phase = divmod(launched.report(), CODES)
             if phase in (READY, SOLVED):
                 self.searches[stage, iteration] = taken
@@ -96,6 +98,10 @@ class Launched:
     @ti.kernel
     def _run(self, name: ti.template()):
         ti.static(getattr(self.solver, name))()
+
+    @ti.kernel
+    def begin(self, s: float, stage: int):
+        self.solver.begin(s, stage)
 
     @ti.kernel
     def _run_stage(self, name: ti.template(), stage: int):

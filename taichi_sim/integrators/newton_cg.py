@@ -12,6 +12,7 @@ from taichi_sim.forces.element import Element
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies, FreeBodies
 from taichi_sim.integrators.free_turns import FreeTurns
+from taichi_sim.integrators.held_balls import HeldBalls
 from taichi_sim.integrators.implicit_elements import StageElements
 from taichi_sim.integrators.implicit_gas import StageGas
 from taichi_sim.integrators.multilevel import Levels
@@ -19,6 +20,8 @@ from taichi_sim.integrators.newton_decisions import (
     BEGUN,
     DOUBTFUL,
     FOUND,
+    HELD,
+    HELD_NUMBERS,
     NUMBERS,
     READY,
     SEARCHING,
@@ -53,6 +56,7 @@ SUMS = (
     ),
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
+HELD_SUMS = ("held", "pull")  # where balls may be held: so many; what would pull at them
 
 
 @ti.data_oriented
@@ -73,12 +77,14 @@ class StageSolver(Verdicts):
                  fields: Fields, method: Any) -> None:  # fmt: skip
         self.model, self.springs = model, springs
         self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
+        self.opening = method.opening
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.kick, self.first = (fields.vectors(self.n, self.dim) for _ in range(3))
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
+        self.holds = False
         if not self.has_springs and not self.has_elements:
             return
         scene, width = model.scene, padded_blocks.width(self.dim)
@@ -97,9 +103,14 @@ class StageSolver(Verdicts):
             self._own_springs(springs, fields)
         self.elements = StageElements(elements, model, fields) if elements else None
         self.bodies = Bodies(model, self.elements.ties if self.elements is not None else NO_TIES, fields)
-        self.number = fields.table(dict.fromkeys(NUMBERS, self.wide), self.bodies.count)
+        self.holds = method.contacts.plan.walls
+        if self.holds:
+            self.held = HeldBalls(model, method.contacts.walls, self.bodies, fields)
+        numbers = (*NUMBERS, *(HELD_NUMBERS if self.holds else ()))
+        self.number = fields.table(dict.fromkeys(numbers, self.wide), self.bodies.count)
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
-        self.part = self.bodies.columns(dict.fromkeys(SUMS, self.wide))
+        sums = (*SUMS, *(HELD_SUMS if self.holds else ()))
+        self.part = self.bodies.columns(dict.fromkeys(sums, self.wide))
         self.free = FreeBodies(model, self.bodies, fields)
         self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
         if self.turns_freely:
@@ -163,6 +174,8 @@ class StageSolver(Verdicts):
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
         self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
+        if ti.static(self.holds):
+            self.bodies.join((self.part.held,))
         if ti.static(self.levels.active):
             self.levels.factor(self)
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -174,6 +187,8 @@ class StageSolver(Verdicts):
                 self.number[b].within = ti.max(self.number[b].force, within)
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
+                if ti.static(self.holds):
+                    self.number[b].held = self.bodies.total(self.part.held, b)
                 self.judge_guess(b)
 
     @ti.func
@@ -192,13 +207,13 @@ class StageSolver(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         if self.begins(self.bodies.part[c].body):
-            residual = force = kinetic = within = noise = load = ti.cast(0.0, self.wide)
+            residual = force = kinetic = within = noise = load = held = ti.cast(0.0, self.wide)
             change = self.free.change[self.bodies.part[c].body]
             alike = self._kick_of_all(self.bodies.part[c].body)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
-                self.sum[i] = r
+                kept = self._keep(i, r)
                 w = self.model.inverse_mass[i]
                 inverse = ti.Matrix.zero(float, self.dim, self.dim)
                 if w > 0.0:
@@ -207,7 +222,7 @@ class StageSolver(Verdicts):
                         stiff, curved = self.elements.block(i, False), self.elements.block(i, True)
                     of_elements = stiff + curved
                     inverse = self._inverse(i, w, stiff, curved)
-                    sizes = self._sizes(i, r, w, inverse)
+                    sizes = self._sizes(i, kept, r, w, inverse)
                     residual += sizes[0]
                     force += sizes[1]
                     kinetic += sizes[2]
@@ -217,6 +232,8 @@ class StageSolver(Verdicts):
                     blur = (s * self.rough[i] + self.eps * of_elements.trace() / s) * ti.abs(self.base[i].x).max()
                     blur += self.eps * ti.abs(self.first[i]).max() / w
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
+                    if ti.static(self.holds):
+                        held += ti.select(self.held.holds(i), 1.0, 0.0)
                 self.inverse_block[i] = inverse
             self.part[c].residual = residual
             self.part[c].force = force
@@ -224,7 +241,19 @@ class StageSolver(Verdicts):
             self.part[c].within = within
             self.part[c].noise = noise
             self.part[c].load = load
+            if ti.static(self.holds):
+                self.part[c].held = held
             self._measure_work(c)
+
+    @ti.func
+    def _keep(self, i, r):
+        """Keep the residual r of ball i, but for what surfaces that hold it bear."""
+        kept = r
+        if ti.static(self.holds):
+            self.held.note_reaction(i, r)
+            kept = self.held.along(i, r)
+        self.sum[i] = kept
+        return kept
 
     @ti.func
     def _kick_of_all(self, b):
@@ -235,11 +264,11 @@ class StageSolver(Verdicts):
         return kick
 
     @ti.func
-    def _sizes(self, i, r, w, inverse):
-        """Parts of ball i, of inverse mass w, in `residual`, `force` and `kinetic`."""
-        own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
-        f = r - own / w
-        kinetic = ti.max(own.dot(own), whole.dot(whole)) / w
+    def _sizes(self, i, r, whole, w, inverse):
+        """Parts of ball i, of inverse mass w and the residual r of a whole one, in `residual`, `force` and `kinetic`."""
+        own, change = self.q[i] - self.base[i].v, self.q[i] - self.first[i]
+        f = whole - own / w
+        kinetic = ti.max(own.dot(own), change.dot(change)) / w
         return ti.cast(ti.Vector([r.dot(inverse @ r), f.dot(inverse @ f), kinetic]), self.wide)
 
     @ti.func
@@ -302,10 +331,10 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
-                self.sum[i] = r
+                kept = self._keep(i, r)
                 w = self.model.inverse_mass[i]
                 if w > 0.0:
-                    sizes += self._sizes(i, r, w, self.inverse_block[i])
+                    sizes += self._sizes(i, kept, r, w, self.inverse_block[i])
             self.part[c].residual, self.part[c].force, self.part[c].kinetic = sizes[0], sizes[1], sizes[2]
             self._measure_work(c)
 
@@ -364,7 +393,7 @@ class StageSolver(Verdicts):
     # Newton's iterations
 
     @ti.func
-    def begin(self, stage):
+    def begin(self, s, stage):
         """The first guess: the change of the step before, in the frame of the body, and that of its centre of mass now."""
         for i in range(self.n):
             self.first[i] = self.base[i].v
@@ -372,6 +401,10 @@ class StageSolver(Verdicts):
             self.dv[i] = self.last[stage * self.n + i]
         self.free.add_change(self.dv, self.base, self.q)
         self.free.find_means(self.base, self.q)
+        if ti.static(self.holds):
+            for i in range(self.n):
+                self.base[i].v = self.held.choose(i, self.base[i], self.q[i], s, stage >= self.opening)
+                self.dv[i] = self.held.along(i, self.dv[i])
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             self.begin_body(b)
@@ -404,10 +437,12 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _conditioned(self, i):
-        """Preconditioned residual at ball i."""
+        """Preconditioned residual at ball i, in the directions that it is free to take."""
         z = self.inverse_block[i] @ self.sum[i]
         if ti.static(self.levels.active):
             z += self.levels.shift(i)
+        if ti.static(self.holds):
+            z = self.held.along(i, z)
         return z
 
     @ti.func
@@ -495,7 +530,10 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 self.dv[i] = self.dv[i] + step * padded_blocks.cut(self.product.p[i], self.dim)
-                self.sum[i] = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
+                r = self.sum[i] - step * padded_blocks.cut(self.product.sum[i], self.dim)
+                if ti.static(self.holds):
+                    r = self.held.along(i, r)
+                self.sum[i] = r
         if ti.static(not self.levels.active):
             self._condition(c)
 
@@ -522,18 +560,62 @@ class StageSolver(Verdicts):
                 self.product.p[i] = self.product.sum[i] + step * self.product.p[i]
 
     @ti.func
+    def release(self):
+        """Release balls from surfaces that would have to pull at them, of bodies that are solved but for that."""
+        self.bodies.each_part(self._sum_pulls, ())
+        self.bodies.join((self.part.pull,))
+        self.bodies.each_part(self._release_part, ())
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            if self.number[b].phase == HELD:
+                self.judge_pull(b, self.bodies.total(self.part.pull, b))
+
+    @ti.func
+    def _sum_pulls(self, c):
+        if self.number[self.bodies.part[c].body].phase == HELD:
+            pull = ti.cast(0.0, self.wide)
+            for k in range(self.bodies.part[c].count):
+                i = self.bodies.ball(c, k)
+                if self.held.holds(i):
+                    p = self.held.pull(i)
+                    pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
+            self.part[c].pull = pull
+
+    @ti.func
+    def _release_part(self, c):
+        b = self.bodies.part[c].body
+        if self.number[b].phase == HELD:
+            if self.bodies.total(self.part.pull, b) > self.number[b].target:
+                for k in range(self.bodies.part[c].count):
+                    i = self.bodies.ball(c, k)
+                    if self.held.holds(i):
+                        self.held.release(i)
+
+    @ti.func
+    def velocity(self, i):
+        """Velocity [m/s] with which ball i moves at the end of the last stage, with what holds it."""
+        v = self.base[i].v
+        if ti.static(self.holds):
+            v -= self.held.reaction[i]
+        return v
+
+    @ti.func
     def end(self, stage):
         """Give bodies that fly the velocities q, and free ones the momentum that they should have; note the change of this stage,
-        and how well it was solved."""
+        and how well it was solved. What surfaces give to balls that they hold is left to contacts."""
         for i in range(self.n):
+            if ti.static(self.holds):
+                self.base[i].v = self.base[i].v + self.held.reaction[i]
             if self.number[self.bodies.of(i)].flies == 1.0:
                 self.base[i].v = self.q[i]
+                if ti.static(self.holds):
+                    self.held.reaction[i] = ti.Vector.zero(float, self.dim)
         self.free.share(self.base, self.q)
         if ti.static(self.turns_freely):
             self.turns.correct(self.ahead, self.base, self.q)
         for i in range(self.n):
             change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
-            self.last[stage * self.n + i] = self.base[i].v - self.first[i] - change
+            self.last[stage * self.n + i] = self.velocity(i) - self.first[i] - change
         self.judge_all()
 
     @ti.func

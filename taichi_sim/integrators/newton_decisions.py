@@ -9,6 +9,8 @@ __all__ = [
     "CODES",
     "DOUBTFUL",
     "FOUND",
+    "HELD",
+    "HELD_NUMBERS",
     "MISSED_TOLERANCES",
     "NUMBERS",
     "READY",
@@ -33,6 +35,7 @@ GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solutio
 ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
 OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
+MOST_RELEASES = 8  # times in a stage that balls are released from what would have to pull at them
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
 # What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
@@ -63,17 +66,19 @@ NUMBERS = (
     *("excess", "gained"),  # see Verdicts.note_work
     "passes",  # over springs, in this stage
 )
+HELD_NUMBERS = ("held", "releases")  # where balls may be held: so many are; so many times some were released
 TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
-# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together.
-SOLVED, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(9)
+# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
+# is solved, if nothing has to pull at the balls that surfaces hold.
+SOLVED, HELD, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(10)
 
 
 def solve_stage(self, s, stage):
     """A stage of s seconds, from `base`: Newton's method, in each iteration conjugate gradients for the change. Compiled for one
     thread, where every loop runs inside a kernel, and run by Python, where each line launches a kernel with parallel loops.
     What is done acts on the bodies that are in the phase for it, and leaves the others as they are."""
-    self.begin(stage)
+    self.begin(s, stage)
     phase = BEGUN
     while phase != SOLVED:
         if phase == READY:
@@ -88,6 +93,8 @@ def solve_stage(self, s, stage):
                 self.evaluate()
             else:
                 self.linearise(s)
+            if ti.static(self.holds):
+                self.release()
         phase = self.foremost()
     self.end(stage)
 
@@ -121,6 +128,7 @@ class Verdicts:
     least: float
     rounding: float
     finest: float
+    holds: bool  # whether surfaces may hold balls
 
     @ti.func
     def begin_body(self, b):
@@ -133,6 +141,8 @@ class Verdicts:
         self.number[b].change = 1.0
         self.number[b].part = 1.0
         self.number[b].phase = BEGUN
+        if ti.static(self.holds):
+            self.number[b].releases = 0.0
 
     @ti.func
     def judge_guess(self, b):
@@ -174,6 +184,19 @@ class Verdicts:
             self.number[b].phase = WITHDRAWN
         else:
             self.number[b].phase = SOLVED
+            if ti.static(self.holds):
+                if self.number[b].held > 0.0 and self.number[b].releases < MOST_RELEASES:
+                    self.number[b].phase = HELD
+
+    @ti.func
+    def judge_pull(self, b, pull):
+        """The phase of body b, at balls of which surfaces would have to pull with impulses of this size [J]: where that is more
+        than the residual may be, it goes on without them."""
+        self.number[b].phase = SOLVED
+        if pull > self.number[b].target:
+            self.number[b].phase = WITHDRAWN
+            self.number[b].moved = 1e300
+            self.number[b].releases += 1.0
 
     @ti.func
     def next_search(self, b):

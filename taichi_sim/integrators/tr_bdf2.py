@@ -82,7 +82,7 @@ class TRBDF2(Implicit):
             kick = self.forces.external_change(i, h)
             if stage == 2:
                 middle = self.solver.base[i].v
-                self.solver.base[i].x = ball.x + (MIDDLE * s) * (ball.v + middle)
+                self.solver.base[i].x = ball.x + (MIDDLE * s) * (ball.v + self.solver.velocity(i))
                 self.solver.kick[i] = (1.0 - 0.5 / GAMMA - 1.0 / (2.0 - GAMMA)) * self.kick[i] + 0.5 / GAMMA * kick
                 self.solver.q[i] = ball.v + MIDDLE * (middle - ball.v) + self.solver.kick[i]
             else:

@@ -39,3 +39,27 @@ def test_implicit_methods_gain_no_energy(method, stiffer):
         assert max(energy) < energy[0] + 1e-3 * fall
         assert found.misses == 0
         assert found.passes < 100 * found.stages
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "h"), [("implicit_euler", 1 / 60), ("tr_bdf2", 1 / 120)])
+def test_what_lands_on_stiff_springs_gains_no_energy_and_leaves_again(method, h):
+    rng, scene, bodies = np.random.default_rng(3), ts.Scene(dim=2, gravity=(0.0, -10.0)), 8
+    scene.add_wall((0.0, 1.0))
+    for k in range(bodies):
+        low, length = rng.uniform(0.2, 0.5), rng.uniform(0.1, 0.3)
+        balls = scene.add_balls(
+            [[k, low], [k, low + length]], velocity=(0.0, -1.0), mass=[rng.uniform(0.1, 0.5), 1.0], radius=0.02
+        )
+        scene.add_springs([balls], stiffness=10.0 ** rng.uniform(3.5, 5.0))
+    with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+        stored, landed, left = [], np.zeros(bodies, dtype=bool), np.zeros(bodies, dtype=bool)
+        for _ in range(round(0.6 / h)):
+            stored.append(sim.energy().total)
+            sim.step()
+            height = sim.position[::2, 1] - 0.02
+            landed |= height < 1e-3
+            left |= landed & (height > 5e-3)
+    assert landed.all()
+    assert np.diff(stored).max() < 5e-3 * stored[0]
+    assert left.sum() >= (bodies // 2 if method == "tr_bdf2" else 0)
