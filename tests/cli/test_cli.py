@@ -377,7 +377,7 @@ REFUSED = [
     (("run", "ball.toml", "-o", "x.csv", "-o", "x.avi"), "x.avi: '.avi' is not allowed"),
     (("run", "ball.toml", "-o", "none/x.mp4"), "none/x.mp4: there is no folder 'none'; make it first"),
     (("run", "ball.toml", "-o", "full"), "full: the folder is not empty; use --overwrite, --resume or another name"),
-    (("view", "ball.toml"), "there is no display for a window; use `taichi-sim run SCENE -o x.mp4` instead"),
+    (("view", "ball.toml"), "there is no display for a window; use `taichi-sim view SCENE --web` or"),
     (("report",), "report: give a SCENE, or --hard-cases"),
     (("report", "ball.toml", "--hard-cases"), "--hard-cases takes no scene"),
     (("report", "--hard-cases", "--methods", "verlet"), "--hard-cases takes no other option, but --methods was given"),
