@@ -157,6 +157,7 @@ def test_an_implicit_method_names_itself_where_no_spring_moves_a_ball():
 
 
 def test_check_of_scenes_whose_cells_limit_the_step():
+    """That of methods that do not solve for them."""
     scene = ts.Scene(dim=2)
     b = scene.add_balls([[0, 0], [1, 0], [0, 1]], radius=0.1)
     scene.add_cells([b], bulk_modulus=1e6)
@@ -165,10 +166,10 @@ def test_check_of_scenes_whose_cells_limit_the_step():
     assert "without spring" not in text
     assert "any step is stable" not in text
     scene.add_springs([b[:2], b[1:]], stiffness=100.0, damping=1.0)
-    with simulate(scene, integrator="implicit_euler", contacts="off") as sim:
+    with simulate(scene, integrator="xpbd", contacts="off") as sim:
         text = "\n".join(check.lines(sim))
     assert "None" not in text
-    assert "cells: explicit forces, limit implicit_euler" in text
+    assert "cells: explicit forces, limit xpbd" in text
 
 
 def test_damping_of_bending_alone_limits_the_step():
