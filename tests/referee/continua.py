@@ -307,5 +307,5 @@ CONTINUA = {
     "torn_continuum": (_torn, (*SEEN, *AGAIN[1:3]), 8),
     "driven_continuum": (_driven, ("elsewhere", "renumbered", "momentum_with_the_colliders", *AGAIN), 6),
     "landing_again": (_landing, AGAIN, 6),
-    "held_again": (_held, (*AGAIN, "methods_agree"), 8),
+    "held_again": (_held, AGAIN, 8),
 }
