@@ -156,7 +156,9 @@ def _blank(rng: Rng, dim: int, g: float, e: float = 0.0, friction: float = 0.0) 
     return scene
 
 
-def _timed(rng: Rng, scenes: list[ts.Scene], method: str, duration: float, samples: int = 6, **how: Any) -> list[Case]:
+def _timed(
+    rng: Rng, scenes: list[ts.Scene], method: str, duration: float, samples: int = 6, coarsest: int = 6, **how: Any
+) -> list[Case]:
     """Cases of all these, by one step: what is stable with all of them, or as long as a frame, of an implicit method."""
     settings: dict[str, Any] = {"integrator": method}
     if method == "auto":
@@ -166,7 +168,7 @@ def _timed(rng: Rng, scenes: list[ts.Scene], method: str, duration: float, sampl
         settings |= {"dt": float(2.0 ** np.floor(np.log2(longest))), "substeps": 1}
         duration = min(duration, MOST_STEPS * settings["dt"])
     else:
-        settings["dt"] = 2.0 ** -float(rng.integers(6, 10))
+        settings["dt"] = 2.0 ** -float(rng.integers(coarsest, 10))
     return [Case(scene, settings, duration, samples, **how) for scene in scenes]
 
 
@@ -187,7 +189,7 @@ def _free(rng: Rng, n: int) -> list[Case]:
         bent = 0.3 * rng.normal(0.0, 1.0, (dim, dim)) @ x.T
         scene.set_balls(balls, velocity=turning + bent.T * 3.0 + rng.normal(0.0, 0.5, dim))
         scenes.append(scene)
-    return _timed(rng, scenes, method, 0.4)
+    return _timed(rng, scenes, method, 0.4, coarsest=8)  # so that tr_bdf2 resolves how they turn
 
 
 def _held(rng: Rng, n: int) -> list[Case]:
