@@ -221,8 +221,7 @@ class Verlet(Integrator):
         """The second half kick, or its first stage; or half of what the forces differ by from those predicted."""
         if ti.static(self.driven):
             self.pins.set_velocities(False)
-        if ti.static(not self.delayed):
-            self.contacts.record_second_half(h, self.forces)
+        self.contacts.record_second_half(h, self.forces)
         self.contacts.throw_back(h, self.forces)
         if ti.static(self.predicts):
             for i in range(self.model.n):

@@ -358,6 +358,29 @@ def test_what_impulse_probes_of_all_walls_sum_is_what_a_bouncing_spring_lost(dam
     np.testing.assert_allclose(given, lost, atol=1e-12 if F64 else 2e-4)
 
 
+@pytest.mark.slow
+def test_impulse_probes_close_the_ledger_of_elements_beside_damped_springs_that_share_balls():
+    scene = ts.Scene(dim=2, gravity=(0, -9))
+    scene.add_material("rubber", restitution=0.4)
+    balls = scene.add_balls(
+        [[0.0, 0.1], [0.0, 0.24], [0.21, 0.1], [0.21, 0.24]],
+        radius=0.03,
+        mass=0.6,
+        velocity=(0.5, -2),
+        material="rubber",
+    )
+    scene.add_bricks(balls, young_modulus=4e3, poisson_ratio=0.3)
+    scene.add_springs([balls[:2], balls[1:3]], stiffness=50.0, damping=4.0)
+    scene.add_wall((0, 1), 0.0, "rubber")
+    scene.add_probe("floor", "impulse", wall=0)
+    with simulate(scene, dt=5e-4, substeps=1) as sim:
+        sim.run(0.25)
+        given = [sim.probes()[f"floor.{axis}"] for axis in "xy"]
+        lost = scene.mass @ scene.velocity + scene.mass.sum() * scene.gravity * 0.25 - scene.mass @ sim.velocity
+    assert -given[1] > 3.0
+    np.testing.assert_allclose(given, lost, atol=1e-11 if F64 else 1e-3)
+
+
 @pytest.mark.slow_where(dim=2)
 @each_dim
 def test_an_oblique_bounce_is_rubbed_by_coulombs_law(dim):
