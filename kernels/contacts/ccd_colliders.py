@@ -49,7 +49,7 @@ def meeting(
         while not done and looks < MOST_LOOKS:
             at = x + t * (v + 0.5 * t * a)
             p = local(colliders, k, at, since + t)
-            d, n, within = distance(colliders, k, p)
+            d, n, within = distance(colliders, k, p, r, walls.collider_contacts.is_at_seam(i))
             if ti.static(colliders.has_faces):
                 if face != WHOLE:
                     d, n = face_distance(colliders, k, face, p, d, n, True)
@@ -196,7 +196,9 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, begin, settle
                 several = 0
                 if ti.static(walls.colliders.has_faces):
                     if walls.colliders.shape[k].kind == BOX:
-                        _far, _away, inside = distance(walls.colliders, k, local(walls.colliders, k, x, since))
+                        _far, _away, inside = distance(
+                            walls.colliders, k, local(walls.colliders, k, x, since), 0.0, False
+                        )
                         if inside:
                             several = 1
                 for face in range(ti.select(several == 1, walls.colliders.faces, 1)):

@@ -108,11 +108,12 @@ def record_thrown_back(walls: ti.template(), i, kick):
 
 
 @ti.func
-def surface(walls: ti.template(), key, x, after):
-    """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to a ball at x that touches it `after`
+def surface(walls: ti.template(), i, key, x, after):
+    """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to ball i at x that touches it `after`
     seconds into the step, and its velocity there."""
     k = key // walls.colliders.faces
-    d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after)
+    touch, exact = walls.model.radius[i], walls.collider_contacts.is_at_seam(i)
+    d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after, touch, exact)
     return n, surface_velocity(walls.colliders, k, x - d * n, after)
 
 
@@ -120,7 +121,7 @@ def surface(walls: ti.template(), key, x, after):
 def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
     """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
     the normal there."""
-    n, own = surface(walls, key, x, after)
+    n, own = surface(walls, i, key, x, after)
     law = walls.law_of_material(i, walls.colliders.shape[key // walls.colliders.faces].surface)
     u = n.dot(v - own)
     speed, pull = v, a
@@ -132,9 +133,9 @@ def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
 
 
 @ti.func
-def pushed(walls: ti.template(), key, x, after, time):
-    """Displacement of a ball at x, which a collider touches `after` seconds into the step and pushes before it for `time`."""
-    n, own = surface(walls, key, x, after)
+def pushed(walls: ti.template(), i, key, x, after, time):
+    """Displacement of ball i at x, which a collider touches `after` seconds into the step and pushes before it for `time`."""
+    n, own = surface(walls, i, key, x, after)
     return time * ti.max(0.0, n.dot(own)) * n
 
 
@@ -230,7 +231,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
                 if ti.static(walls.moves):
                     if other >= 0:
-                        shift += pushed(walls, other, x + shift, h - remaining + t, remaining - t)
+                        shift += pushed(walls, i, other, x + shift, h - remaining + t, remaining - t)
                 speed += remaining * pull
                 remaining = 0.0
             elif meets:

@@ -112,7 +112,7 @@ class Walls(Surfaces):
         clearance = FAR_GAP + 0.0 * self.model.radius[i]
         number = self.count
         if ti.static(self.has_colliders):
-            number = nearby_colliders.find(self, ball[i].x, i, crowded, 1.0 / solver.rate[0])
+            number = nearby_colliders.find(self, ball[i].x, ball[i].v, i, crowded, 1.0 / solver.rate[0])
         for k in range(number):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
