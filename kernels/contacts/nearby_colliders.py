@@ -11,9 +11,9 @@ EMPTY = -1  # its key
 
 @ti.func
 def find(walls: ti.template(), x, v, i, crowded, h):
-    """Fill the slots of ball i at x with the velocity v, for a step of h seconds, with the colliders in reach: each where it was before, those that
-    are new in a free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the
-    slots of a ball that is and was far from all colliders, which are not even cleared."""
+    """Fill the slots of ball i at x with the velocity v, for a step of h seconds, with the colliders in reach: each where it was
+    before, those that are new in a free one; where there are too many, the nearest. Returns how many contacts there are to look
+    at: none of the slots of a ball that is and was far from all colliders, which are not even cleared."""
     at = walls.collider_contacts
     first = i * at.count
     ready = at.filled[i] > 0

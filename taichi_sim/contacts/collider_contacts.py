@@ -6,6 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import colliders as geometry
+from taichi_sim.kernels.contacts.kinds import MESH
 from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["ColliderContacts"]
@@ -42,6 +43,17 @@ class ColliderContacts:
         if ti.static(self.has_seams):
             yes = self.at_seam[i] == 1
         return yes
+
+    @ti.func
+    def slot_of_mesh(self, i, k):
+        """The slot that holds the contact of ball i with collider k as it was found, if that is a mesh; else -1."""
+        found = -1
+        if ti.static(self.colliders.has_mesh):
+            if self.colliders.shape[k].kind == MESH and self.filled[i] > 0:
+                for s in range(i * self.count, (i + 1) * self.count):
+                    if self.slot[s].key == k * self.faces:
+                        found = s
+        return found
 
     @ti.func
     def gap(self, i, s):
