@@ -48,16 +48,24 @@ def meeting(
         looks = 0
         while not done and looks < MOST_LOOKS:
             at = x + t * (v + 0.5 * t * a)
-            p = local(colliders, k, at, since + t)
-            d, n, within = distance(colliders, k, p)
-            if ti.static(colliders.has_faces):
-                if face != WHOLE:
-                    d, n = face_distance(colliders, k, face, p, d, n, True)
+            slot = -1
+            if looks == 0 and since == 0.0:
+                slot = walls.collider_contacts.slot_of_mesh(i, k)
+            d, n, within = 0.0 * r, 0.0 * x, False
+            if slot >= 0:  # there it was found
+                d, n = walls.collider_contacts.slot[slot].gap + r, walls.collider_contacts.slot[slot].normal
+            else:
+                p = local(colliders, k, at, since + t)
+                d, n, within = distance(colliders, k, p, r, walls.collider_contacts.is_at_seam(i))
+                if ti.static(colliders.has_faces):
+                    if face != WHOLE:
+                        d, n = face_distance(colliders, k, face, p, d, n, True)
             gap = d - r
             if looks == 0 and MARCH_SAFETY * gap > fastest * limit:
                 done = True
             else:
-                n = world(colliders, k, n, since + t)
+                if slot < 0:
+                    n = world(colliders, k, n, since + t)
                 if looks == 0:
                     sunk = ti.max(0.0, -gap)
                 gap += sunk
@@ -196,7 +204,9 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, begin, settle
                 several = 0
                 if ti.static(walls.colliders.has_faces):
                     if walls.colliders.shape[k].kind == BOX:
-                        _far, _away, inside = distance(walls.colliders, k, local(walls.colliders, k, x, since))
+                        _far, _away, inside = distance(
+                            walls.colliders, k, local(walls.colliders, k, x, since), 0.0, False
+                        )
                         if inside:
                             several = 1
                 for face in range(ti.select(several == 1, walls.colliders.faces, 1)):

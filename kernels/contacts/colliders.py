@@ -12,6 +12,8 @@ from taichi_sim.kernels.vectors import lever
 from taichi_sim.device.engine import ti
 
 CUT = -1  # number of a cell that is cut into eight
+ROUNDED = 0.5  # of a cell: what lies between corners of a grid is no further from the distance
+BEYOND_GRID = 1.4143  # times: what the border of a grid knows of a place beyond it is no more of the distance
 
 
 @ti.func
@@ -152,8 +154,9 @@ def round_distance(p, half, radius):
 
 
 @ti.func
-def mesh_distance(colliders: ti.template(), shape, p):
-    """Signed distance from a mesh and its direction: linear in each cell of its grid, by triangles where that is too coarse."""
+def mesh_distance(colliders: ti.template(), shape, p, touch, exact):
+    """Signed distance from a mesh and its direction: linear in each cell of its grid, by triangles where that is too coarse;
+    at distances up to `touch` [m] also beyond the grid, and all over it if `exact`."""
     g = (p - shape.low) * shape.inverse_cell
     top = ti.cast(shape.cells, float) - 1.0
     inner = ti.max(ti.min(g, top), 0.0)
@@ -167,12 +170,22 @@ def mesh_distance(colliders: ti.template(), shape, p):
             out = (g - ti.cast(cell, float) - centre).norm() / shape.inverse_cell
             d, n = distance_by_list(colliders.triangle, colliders.listed, colliders.away, begin, begin + number, p, out)
         else:
-            box, link = ti.static(colliders.box, colliders.link)
-            d, n, _ = signed_distance(box, link, colliders.triangle, shape.first_node, shape.last_node, begin, p)
+            d, n = distance_by_tree(colliders, shape, begin, p)
     else:
-        d, n = interpolated(
-            colliders.grid, shape, first, inner - ti.cast(cell, float), (g - inner) / shape.inverse_cell
-        )
+        out = (g - inner) / shape.inverse_cell
+        d, n = interpolated(colliders.grid, shape, first, inner - ti.cast(cell, float), out)
+        is_beyond = out.dot(out) > 0.0
+        reach = ti.select(is_beyond, BEYOND_GRID, 1.0) * (touch + ROUNDED / shape.inverse_cell)
+        if (exact or is_beyond) and d < reach:
+            d, n = distance_by_tree(colliders, shape, -1 - row, p)
+    return d, n
+
+
+@ti.func
+def distance_by_tree(colliders: ti.template(), shape, near, p):
+    """Signed distance of p from a mesh and its direction, by its tree; `near` is a triangle that is not far."""
+    box, link = ti.static(colliders.box, colliders.link)
+    d, n, _ = signed_distance(box, link, colliders.triangle, shape.first_node, shape.last_node, near, p)
     return d, n
 
 
@@ -239,8 +252,9 @@ def custom_distance(distance_from: ti.template(), p, h):
 
 
 @ti.func
-def distance(colliders: ti.template(), k, p):
-    """Distance of p (in its frame) from collider k, the direction away from it, and whether p lies within a hollow one."""
+def distance(colliders: ti.template(), k, p, touch, exact):
+    """Distance of p (in its frame) from collider k, the direction away from it, and whether p lies within a hollow one. touch,
+    exact: see `mesh_distance`."""
     shape = colliders.shape[k]
     d, n = 0.0 * p[0], 0.0 * p
     within = False
@@ -252,7 +266,7 @@ def distance(colliders: ti.template(), k, p):
             d, n = box_distance(p, shape.half)
     if ti.static(colliders.has_mesh):
         if shape.kind == MESH:
-            d, n = mesh_distance(colliders, shape, p)
+            d, n = mesh_distance(colliders, shape, p, touch, exact)
     if ti.static(colliders.has_custom):
         for number, distance_from in ti.static(colliders.custom):
             if k == number:

@@ -9,7 +9,7 @@ h a / 2 - m (m . h a / 2) with m = sqrt((1 + e) t / h) n, its `reflected`. Witho
 speed u would gain h^2 k u^2 / 6 on average, as the force changes with its way.
 """
 
-from taichi_sim.kernels.contacts import bent_paths
+from taichi_sim.kernels.contacts import bent_paths, surface_ways
 from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
 from taichi_sim.kernels.contacts.colliders import surface_velocity
 from taichi_sim.kernels.contacts.contact_law import decayed, rebound
@@ -108,11 +108,12 @@ def record_thrown_back(walls: ti.template(), i, kick):
 
 
 @ti.func
-def surface(walls: ti.template(), key, x, after):
-    """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to a ball at x that touches it `after`
+def surface(walls: ti.template(), i, key, x, after):
+    """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to ball i at x that touches it `after`
     seconds into the step, and its velocity there."""
     k = key // walls.colliders.faces
-    d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after)
+    touch, exact = walls.model.radius[i], walls.collider_contacts.is_at_seam(i)
+    d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after, touch, exact)
     return n, surface_velocity(walls.colliders, k, x - d * n, after)
 
 
@@ -120,7 +121,7 @@ def surface(walls: ti.template(), key, x, after):
 def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
     """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
     the normal there."""
-    n, own = surface(walls, key, x, after)
+    n, own = surface(walls, i, key, x, after)
     law = walls.law_of_material(i, walls.colliders.shape[key // walls.colliders.faces].surface)
     u = n.dot(v - own)
     speed, pull = v, a
@@ -132,9 +133,9 @@ def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
 
 
 @ti.func
-def pushed(walls: ti.template(), key, x, after, time):
-    """Displacement of a ball at x, which a collider touches `after` seconds into the step and pushes before it for `time`."""
-    n, own = surface(walls, key, x, after)
+def pushed(walls: ti.template(), i, key, x, after, time):
+    """Displacement of ball i at x, which a collider touches `after` seconds into the step and pushes before it for `time`."""
+    n, own = surface(walls, i, key, x, after)
     return time * ti.max(0.0, n.dot(own)) * n
 
 
@@ -172,6 +173,21 @@ def record_pressed(walls: ti.template(), i, v):
             change = -pressing_speed(walls, i, k, n, v) * n
             v += change
             walls.record(i, k, change / walls.model.inverse_mass[i])
+
+
+@ti.func
+def may_meet_surfaces(walls: ti.template(), i, x, start, v, a, other, since, t, remaining):
+    """True if ball i, which meets a wall or the collider `other` after t of the `remaining` seconds of a step that began `since`
+    seconds ago at x, has some way to go before that, and may come to triangles that collide before that or after. It has moved by
+    `start` so far. It comes off with the speed it has at most, and with twice that of a collider."""
+    far, own = 0.0 * t, 0.0 * t
+    if ti.static(walls.has_colliders):
+        if other >= 0:
+            k = other // walls.colliders.faces
+            far = walls.colliders.distance_from_origin(k)
+            own = 2.0 * surface_velocity(walls.colliders, k, x + start + t * (v + 0.5 * t * a), since + t).norm()
+    way = start.norm() + surface_ways.length(v.norm() + own, a.norm(), remaining)
+    return t * v.norm() > 2.0 * walls.tolerance(x, i, far) and surface_ways.may_meet(walls, i, x, way)
 
 
 @ti.func
@@ -218,19 +234,16 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
             other = NOTHING
             if ti.static(walls.has_colliders):
                 other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, x, settled, floor, place)
-            far = 0.0 * t
-            if ti.static(walls.has_colliders):
-                if other >= 0:
-                    far = walls.colliders.distance_from_origin(other // walls.colliders.faces)
             meets = other != NOTHING or hit >= 0
             waits = False  # at the wall, where the way may lead through a surface
-            if ti.static(not walls.plan.bends):
-                waits = fast and meets and t * speed.norm() > 2.0 * walls.tolerance(x, i, far)
+            if ti.static(walls.plan.triangles):
+                if fast and meets:
+                    waits = may_meet_surfaces(walls, i, x, start, speed, pull, other, h - remaining, t, remaining)
             if waits:
                 shift = start + t * (speed + 0.5 * t * pull)  # the next step bounces
                 if ti.static(walls.moves):
                     if other >= 0:
-                        shift += pushed(walls, other, x + shift, h - remaining + t, remaining - t)
+                        shift += pushed(walls, i, other, x + shift, h - remaining + t, remaining - t)
                 speed += remaining * pull
                 remaining = 0.0
             elif meets:

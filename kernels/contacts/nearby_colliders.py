@@ -10,10 +10,10 @@ EMPTY = -1  # its key
 
 
 @ti.func
-def find(walls: ti.template(), x, i, crowded, h):
-    """Fill the slots of ball i at x, for a step of h seconds, with the colliders in reach: each where it was before, those that
-    are new in a free one; where there are too many, the nearest. Returns how many contacts there are to look at: none of the
-    slots of a ball that is and was far from all colliders, which are not even cleared."""
+def find(walls: ti.template(), x, v, i, crowded, h):
+    """Fill the slots of ball i at x with the velocity v, for a step of h seconds, with the colliders in reach: each where it was
+    before, those that are new in a free one; where there are too many, the nearest. Returns how many contacts there are to look
+    at: none of the slots of a ball that is and was far from all colliders, which are not even cleared."""
     at = walls.collider_contacts
     first = i * at.count
     ready = at.filled[i] > 0
@@ -21,11 +21,15 @@ def find(walls: ti.template(), x, i, crowded, h):
         at.slot[e].gap = FAR_GAP
     if walls.model.inverse_mass[i] > 0.0:
         r = walls.model.radius[i]
+        exact = False
+        if ti.static(at.has_seams):
+            exact = is_at_seam(walls, x, v, i, h)
+            at.at_seam[i] = exact
         for k in range(walls.colliders.count):
             reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
                 for face in range(walls.colliders.faces):
-                    d, n, within = walls.colliders.distance(k, face, x, 0.0)
+                    d, n, within = walls.colliders.distance(k, face, x, 0.0, r, exact)
                     several = within and walls.colliders.shape[k].kind == BOX
                     if d - r <= reach and (face == 0 or several):
                         for e in range(first, ti.select(ready, first, first + at.count)):
@@ -43,6 +47,24 @@ def find(walls: ti.template(), x, i, crowded, h):
         filled -= forget_hidden(walls, x, i)
     at.filled[i] = filled
     return ti.select(ready, walls.count, walls.planes.count)
+
+
+@ti.func
+def is_at_seam(walls: ti.template(), x, v, i, h):
+    """True if ball i at x may come within h seconds, at its velocity v from them, so near to two surfaces that what their edges
+    are rounded by, where a mesh keeps distances on a grid, decides which of them it is on."""
+    number = 0
+    r, rounded = walls.model.radius[i], geometry.ROUNDED * walls.colliders.widest_cell
+    for k in range(walls.planes.count):
+        if walls.planes.gap(x, i, k) < rounded + h * v.norm():
+            number += 1
+    for k in range(walls.colliders.count):
+        way = h * (v - geometry.surface_velocity(walls.colliders, k, x, 0.0)).norm()
+        if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + rounded + way):
+            d, _, _ = walls.colliders.distance(k, 0, x, 0.0, r, False)
+            if d < r + rounded + way:
+                number += 1
+    return number > 1
 
 
 @ti.func
@@ -120,6 +142,8 @@ def is_hidden(walls: ti.template(), x, i, s, k):
             ti.select(turn == 0, key, own.key) % at.faces,
             ti.select(turn == 0, point, back),
             0.0,
+            touch,
+            True,
         )
         yes = yes and ((d <= touch) == (turn == 0))
     return yes

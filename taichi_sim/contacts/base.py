@@ -7,7 +7,7 @@ from taichi_sim.contacts.found_contacts import FoundContacts
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.device.engine import ti
 from taichi_sim.device.parts import STEP, Part
-from taichi_sim.kernels.contacts import ccd_balls, impact, pair_solve, pair_sweeps, struck_pairs
+from taichi_sim.kernels.contacts import ccd_balls, impact, pair_solve, pair_sweeps, struck_pairs, surface_ways
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["ContactRule"]
@@ -194,6 +194,8 @@ class ContactRule(FoundContacts):
     def displace(self, ball: ti.template(), motion: ti.template(), h):
         """Move all balls, and find no contacts yet. Without contacts the kick before the move needs no loop of its own."""
         self._correct_positions(ball, h)
+        if ti.static(self.plan.walls and self.plan.triangles):
+            surface_ways.bound(self.walls, ball, motion, h)
         for i in range(self.n):
             if ti.static(motion.kicks_first and not self.active):
                 motion.before_move(i, h)

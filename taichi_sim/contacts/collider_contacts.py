@@ -6,6 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import colliders as geometry
+from taichi_sim.kernels.contacts.kinds import MESH
 from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["ColliderContacts"]
@@ -17,9 +18,10 @@ STEEPEST_FALL = 0.25
 
 @ti.data_oriented
 class ColliderContacts:
-    """Contacts of balls with colliders, as the last search found them. rounding: of a coordinate, as a part of it."""
+    """Contacts of balls with colliders, as the last search found them. rounding: of a coordinate, as a part of it; planes: how
+    many walls there are beside them."""
 
-    def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float) -> None:
+    def __init__(self, model: Model, fields: Fields, colliders: Colliders, rounding: float, planes: int) -> None:
         self.model, self.colliders, self.rounding = model, colliders, rounding
         self.moves, self.faces = colliders.moves, colliders.faces
         self.count = SLOTS[model.dim]
@@ -30,6 +32,28 @@ class ColliderContacts:
             columns["velocity"] = vector  # m/s, of the surface, along the chord of the step to come
         self.slot = fields.table(columns, model.n * self.count)
         self.filled = fields.integers(model.n)  # slots in use
+        self.has_seams = colliders.has_mesh and colliders.count + planes > 1
+        if self.has_seams:
+            self.at_seam = fields.integers(model.n)  # 1 where distances from meshes are exact, see nearby_colliders
+
+    @ti.func
+    def is_at_seam(self, i):
+        """True if ball i is so near to several surfaces that distances from meshes have to be exact."""
+        yes = False
+        if ti.static(self.has_seams):
+            yes = self.at_seam[i] == 1
+        return yes
+
+    @ti.func
+    def slot_of_mesh(self, i, k):
+        """The slot that holds the contact of ball i with collider k as it was found, if that is a mesh; else -1."""
+        found = -1
+        if ti.static(self.colliders.has_mesh):
+            if self.colliders.shape[k].kind == MESH and self.filled[i] > 0:
+                for s in range(i * self.count, (i + 1) * self.count):
+                    if self.slot[s].key == k * self.faces:
+                        found = s
+        return found
 
     @ti.func
     def gap(self, i, s):
@@ -68,16 +92,17 @@ class ColliderContacts:
         it: 0 where it is plane. With it a ball on a curved surface moves along chords, which keeps its energy. v, u [m/s]:
         velocity of the ball, and from the surface."""
         slot = self.slot[i * self.count + s]
-        n, own = slot.normal, slot.key // self.faces
+        n, own, r = slot.normal, slot.key // self.faces, self.model.radius[i]
         after = x + h * (v - n.dot(u) * n)
         rounding = self.rounding * (ti.abs(x).max() + self.colliders.distance_from_origin(own))
-        most = STEEPEST_FALL * self.model.radius[i]
+        most = STEEPEST_FALL * r
         fall = 0.0 * slot.gap
         k, others = own, False
         while k < self.colliders.count:  # it first; where it ends or falls away, all that may go on in its place
             if not others or self._goes_on(i, k, after, most):
-                d, _, _ = self.colliders.distance(k, ti.select(others, 0, slot.key % self.faces), after, h)
-                here = d - self.model.radius[i] - slot.gap
+                face = ti.select(others, 0, slot.key % self.faces)
+                d, _, _ = self.colliders.distance(k, face, after, h, r, self.is_at_seam(i))
+                here = d - r - slot.gap
                 fall = ti.max(0.0, ti.min(fall, here)) if others else here
             if others:
                 k += 1

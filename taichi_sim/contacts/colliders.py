@@ -82,6 +82,7 @@ class Colliders:
             data["inverse_cell"] = np.array([1.0 / g.cell for g in grids])
             data["cells"] = np.array([g.value.shape[::-1] for g in grids])
             columns |= {"first": ti.i32, "low": vector, "inverse_cell": real, "cells": whole}
+            self.widest_cell = max(g.cell for g in grids if g.value.size)  # m
             self.grid = fields.reals(np.concatenate([g.value.ravel() for g in grids]))  # m, distances
             nodes, triangles = (
                 np.cumsum([0, *(len(part) for part in parts)])
@@ -94,7 +95,7 @@ class Colliders:
                 np.cumsum([0, *(len(part) for part in parts)])
                 for parts in ([g.cells for g in grids], [g.listed for g in grids])
             )
-            exact = [g.exact.ravel() + np.where(g.exact.ravel() < 0, 0, c) for g, c in zip(grids, cells)]
+            exact = [g.exact.ravel() + np.where(g.exact.ravel() < 0, -t, c) for g, t, c in zip(grids, triangles, cells)]
             cell = [g.cells_from(*first).ravel() for g, *first in zip(grids, cells, triangles, lists)]
             listed = [g.listed + t for g, t in zip(grids, triangles)]
             link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
@@ -168,10 +169,11 @@ class Colliders:
         return allowed
 
     @ti.func
-    def distance(self, k, face, x, after):
+    def distance(self, k, face, x, after, touch, exact):
         """Distance of the point x from collider k (one face of it, where it is hollow with faces), direction away from it, and
-        whether x lies inside of a hollow one; `after` seconds into the step."""
+        whether x lies inside of a hollow one; `after` seconds into the step. touch, exact: see
+        kernels.contacts.colliders.mesh_distance."""
         p = geometry.local(self, k, x, after)
-        d, n, within = geometry.distance(self, k, p)
+        d, n, within = geometry.distance(self, k, p, touch, exact)
         d, n = geometry.face_distance(self, k, face, p, d, n, within)
         return d, geometry.world(self, k, n, after), within

@@ -122,7 +122,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     ti.sync()
     near = _on_host(near)
     at = np.argwhere(near >= 0)
-    exact = np.full(shape, -1, np.int32)
+    exact = -1 - closest
     exact[tuple(at.T)] = np.arange(len(at))
     near = near[near >= 0]
     centre = start - origin + cell * (at[:, ::-1] + 0.5)

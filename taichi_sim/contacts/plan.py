@@ -107,8 +107,8 @@ def plan_contacts(
     )
     decide(
         "bends",
-        walls and chosen["neighbours"] and not triangles,
-        "walls, two balls that may touch, or sticks, and no triangles: a ball that bounces may have gone through one twice",
+        walls and chosen["neighbours"],
+        "walls, and two balls that may touch, or sticks",
     )
     gathers = decide(
         "gathers",

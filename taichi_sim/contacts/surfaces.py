@@ -30,7 +30,7 @@ class Surfaces:
         self.has_colliders = colliders is not None
         self.moves, slots = False, 0
         if colliders is not None:
-            self.collider_contacts = ColliderContacts(model, fields, colliders, self.rounding)
+            self.collider_contacts = ColliderContacts(model, fields, colliders, self.rounding, self.planes.count)
             self.moves, slots = colliders.moves, self.collider_contacts.count
         self.count = self.planes.count + slots
         self.probed = bool(bodies_of(model.scene))

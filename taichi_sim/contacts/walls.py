@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.plan import ContactPlan
 from taichi_sim.contacts.surfaces import Surfaces
@@ -58,6 +60,12 @@ class Walls(Surfaces):
             if model.spins:
                 path["spin_change"] = fields.real if model.dim == 2 else vector
             self.path = fields.table(path, model.n)
+        if plan.triangles:  # see kernels.contacts.surface_ways
+            scene, of_surface = model.scene, np.zeros(model.n, np.int32)
+            of_surface[scene.triangles[scene.solid]] = 1
+            of_surface[scene.pairs[scene.collides]] = 1
+            self.of_surface = fields.integers(of_surface)
+            self.around_surfaces = fields.vectors(2, model.dim)  # m
         if plan.reflects:
             # sqrt((1 + e) t / h) n of the last impact in this step, see kernels.contacts.impact
             self.reflected = fields.vectors(model.n, model.dim)
@@ -112,7 +120,7 @@ class Walls(Surfaces):
         clearance = FAR_GAP + 0.0 * self.model.radius[i]
         number = self.count
         if ti.static(self.has_colliders):
-            number = nearby_colliders.find(self, ball[i].x, i, crowded, 1.0 / solver.rate[0])
+            number = nearby_colliders.find(self, ball[i].x, ball[i].v, i, crowded, 1.0 / solver.rate[0])
         for k in range(number):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)

@@ -108,18 +108,7 @@ def plate(low, high):
     return np.where(corner, high, low), np.array([t for a, b, c, d in four for t in ((a, b, c), (a, c, d))])
 
 
-@pytest.mark.parametrize(
-    ("made_of", "radius"),
-    [
-        (ts.Box, 0.04),
-        (ts.Mesh, 0.02),
-        pytest.param(
-            ts.Mesh,
-            0.04,
-            marks=pytest.mark.xfail(strict=True, reason="distances are rounded beyond two cells of its grid"),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("made_of", "radius"), [(ts.Box, 0.04), (ts.Mesh, 0.02), (ts.Mesh, 0.04)])
 def test_balls_slide_over_the_seam_of_two_thin_plates(made_of, radius):
     """Plates thinner than a tenth of a ball: nothing lifts, brakes or lets through what slides across."""
     scene, thick = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0)), 0.002

@@ -73,3 +73,50 @@ def test_a_step_up_is_still_felt_and_a_crowd_slides_on():
     slope = np.sqrt(2 * 0.01)  # of the edge where the ball meets it
     assert thrown == pytest.approx(5.0 * slope, rel=0.1)
     assert x[balls, 0].min() > 0.0
+
+
+def zigzag(side):
+    """Vertices (60, 3) and triangles (116, 3) of a plate under y = 0, on one side of x = 0, where it has teeth of 6 cm."""
+    z, n = np.linspace(-0.5, 0.5, 15), 15
+    teeth = np.stack([0.06 * (np.arange(n) % 2 * 2 - 1), 0 * z, z], axis=1)
+    top = np.concatenate([teeth, np.stack([np.full(n, 0.9 * side), 0 * z, z], axis=1)])
+    k = np.arange(n - 1)
+    above = np.concatenate([np.stack([k, k + 1, k + n + 1], axis=1), np.stack([k, k + n + 1, k + n], axis=1)])
+    border = np.concatenate([np.arange(n), np.arange(2 * n - 1, n - 1, -1)])
+    following = np.roll(border, -1)
+    sides = [
+        np.stack(three, axis=1)
+        for three in ([border, border + 2 * n, following], [following, border + 2 * n, following + 2 * n])
+    ]
+    triangles = np.concatenate([above, above[:, ::-1] + 2 * n, *sides])
+    return np.concatenate([top, top - [0.0, 0.01, 0.0]]), triangles[:, ::side]
+
+
+@pytest.mark.slow
+def test_nothing_is_felt_of_a_seam_of_meshes_by_balls_of_any_size():
+    """Of 1.6 to 21 cells of the grid of distances; two plates with teeth, a box beside a mesh, and meshes that rise."""
+    scene, radius = ts.Scene(dim=3, gravity=(0.0, -G, 0.0)), [0.022, 0.037, 0.075, 0.16, 0.3]
+    scene.add_material("smooth", restitution=0.4)
+    for side in (-1, 1):
+        points, triangles = zigzag(side)
+        scene.add_collider(ts.Mesh((points, triangles), material="smooth"))
+        lifted = points + np.array([0.0, 2 * FAR, 0.0])
+        scene.add_collider(ts.Mesh((lifted, triangles), velocity=(-0.2, LIFT, 0.0), material="smooth"))
+    scene.add_collider(ts.Box((-0.44, FAR - 0.1, 0.0), (1.0, 0.2, 1.0), material="smooth"))
+    square = np.array([(x, FAR + y, z) for x in (0.06, 0.9) for y in (-0.2, 0.0) for z in (-0.5, 0.5)])
+    four = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    scene.add_collider(
+        ts.Mesh((square, np.array([t for a, b, c, d in four for t in ((a, b, c), (a, c, d))])), material="smooth")
+    )
+    lane, r = (part.ravel() for part in np.meshgrid(np.arange(3), np.repeat(radius, 2), indexing="ij"))
+    rise = np.where(lane == 2, LIFT, 0.0)
+    x = np.stack([-0.35 - 0.1 * r, FAR * lane + r, 0.09 * (np.arange(len(r)) % 2) - 0.03], axis=1)
+    v = np.stack([np.full(len(r), V), rise, np.full(len(r), 0.4)], axis=1)
+    balls = scene.add_balls(x, radius=r, velocity=v, material="smooth", body=7)
+    with simulate(scene, dt=H, spin=False) as sim:
+        for _ in range(45):
+            sim.step()
+            x, speed = sim.position[balls], sim.velocity[balls]
+            assert np.abs(speed - v).max() < (1e-6 if F64 else 5e-3)
+            assert np.abs((x[:, 1] - FAR * lane - rise * sim.time) / r - 1).max() < (1e-6 if F64 else 5e-4)
+        assert x[:, 0].min() > 0.3

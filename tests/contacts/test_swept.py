@@ -229,6 +229,27 @@ def test_a_bullet_between_walls_loses_no_time(dim, contacts, method):
 
 
 @pytest.mark.slow
+def test_only_bullets_near_surfaces_wait_at_walls():
+    """One far from all triangles loses no time where it turns; one whose way leads to a triangle turns there."""
+    gap, behind = 0.7 * SLOT, 20.0
+    scene = between_walls(3, True, False, gap)
+    near = scene.add_balls([(0.1, 0.0, behind)], radius=R, velocity=(1.3 * ALONG, 0.0, 0.0), material="m")
+    middle = 0.5 * gap
+    corners = [(middle, -1.0, behind - 1.0), (middle, 2.0, behind), (middle, -1.0, behind + 1.0)]
+    sail = scene.add_balls(corners, radius=0.02, pinned=True, material="m")
+    scene.add_triangles([sail], collides=True)
+    corners = [(0.2, 14.0, 30.0), (0.4, 14.0, 30.0), (0.3, 14.0, 30.2)]
+    kite = scene.add_balls(corners, radius=0.02, velocity=(0.3, 0.0, 0.1), material="m", body=9)
+    scene.add_triangles([kite], collides=True)
+    with simulate(scene, dt=5 * H, substeps=1, contacts="gauss_seidel") as sim:
+        for _ in range(10):
+            sim.step(7)
+            expected = vector(3, place_between(sim.time, gap), ASIDE * sim.time)
+            assert error(sim.position[0], expected, 1.0) < (1e-11 if F64 else 1e-3)
+            assert 0.99 * R < sim.position[near[0], 0] < middle  # it may sink in, but does not come through
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("contacts", RULES)
 @pytest.mark.long_where(contacts="sum")
 def test_a_bullet_on_a_spring_goes_as_if_alone(contacts):
