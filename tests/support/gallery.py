@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 FOLDER = Path(__file__).parents[2] / "docs" / "gallery"
-LOOPS = ("eel", "jelly", "drum", "car", "stairs", "squeeze", "wrecking", "tower", "cloth", "pudding")
+LOOPS = ("eel", "jelly", "drum", "car", "stairs", "squeeze", "wrecking", "tower", "cloth", "pudding", "silk", "octopus")
 OPTIONS = ("--fps", "20", "--duration", "2.95", "--size", "480x270")
 MOST_BYTES, MOST_IN_ALL = 700_000, 6_000_000  # so that the repository stays small
 
