@@ -195,7 +195,7 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         if ti.static(how.impacts):
             if ti.static(solver.model.has_restitution):
                 solver.pairs.link[c].rebound_speed = rebound
-                if ti.static(solver.plan.marks_bounces):
+                if ti.static(solver.plan.loaded):
                     if rebound > 0.0:
                         solver.impacts[i], solver.impacts[j] = 1, 1
             if ti.static(solver.plan.soft):

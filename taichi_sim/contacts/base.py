@@ -83,7 +83,7 @@ class ContactRule(FoundContacts):
             part.begin_contacts(ball, self, impacts)
         for i in range(self.n):
             self.velocity_before[i] = ball[i].v
-            if ti.static(impacts and self.plan.marks_bounces and not self.plan.impacts_in_turn):
+            if ti.static(self.plan.loaded and not self.plan.impacts_in_turn):
                 self.impacts[i] = 0
             if ti.static(self.plan.limits_energy and self.model.spins):
                 self.spin_before[i] = self.state.spin[i]

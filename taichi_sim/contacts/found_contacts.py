@@ -141,8 +141,10 @@ class FoundContacts:
             # m/s, when contacts were found, or, without impacts in turn, when forces began to act
             self.velocity_when_found = fields.vectors(n, dim)
             self.from_forces = fields.table({"v": ti.types.vector(dim, fields.real)}, n)  # m/s, what they added since
-        if plan.impacts_in_turn or plan.marks_bounces:
-            self.impacts = fields.integers(n)  # on a ball in this step; without impacts in turn 1 if there were any
+        if plan.impacts_in_turn or plan.loaded:
+            self.impacts = fields.integers(
+                n
+            )  # on a ball in this step; without impacts in turn 1: off others, in this solve
 
     def allocate(self, fields: Fields) -> None:
         """Declare fields of the rule's own."""
