@@ -5,7 +5,7 @@ still to come, already part it; so does Newton's restitution together with frict
 first, from velocities v0 to v1, and bounce then, by changes d of v1 (walls and sticks have their target speeds in both).
 Where the energy of v1 + d is more than that of v0, all d are scaled down to where it is not, which keeps momentum and angular
 momentum; what only rests stays at rest all the same. Velocities of balls that bounce off others are taken without what forces
-added late, which no bounce throws back (contact_law.target_speed): the energy is that of the time at which they are where they are.
+added late, which no bounce throws back (contact_law.target_speed): their energy is that of the time to which places belong.
 """
 
 from taichi_sim.kernels.reductions import each_part, join, member, members, total
