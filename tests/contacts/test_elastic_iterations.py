@@ -65,11 +65,10 @@ def test_balls_of_any_mass_that_strike_bodies_give_them_no_energy(dim, made_of, 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("restitution", [0.8, 0.5])
-def test_what_bodies_lose_is_what_they_lose_in_turn(restitution):
-    scene = struck(2, restitution, SPRINGS)
+def test_what_bodies_lose_is_what_they_lose_in_turn():
+    scene = struck(2, 0.8, SPRINGS)
     change, expected = (gains(scene, rule=rule)[-1] for rule in ("jacobi", "gauss_seidel"))
-    assert expected < -0.05
+    assert expected < -0.07
     assert change == pytest.approx(expected, abs=0.02)
 
 
@@ -99,17 +98,21 @@ def test_balls_come_back_from_pinned_ones_as_high_as_they_fell():
 @pytest.mark.long
 @pytest.mark.parametrize("made_of", ["sticks", "triangles"])
 def test_what_strikes_sticks_and_triangles_gains_no_energy(made_of):
-    """A ball meets a rope or a membrane, held at its ends, between balls of it."""
-    scene = weightless(2 if made_of == "sticks" else 3)
+    """Balls meet ropes that are held at their ends, or one a membrane, between balls of these."""
+    scene, count, most = weightless(2 if made_of == "sticks" else 3), 1, 0.01
     if made_of == "sticks":
-        x = np.stack([np.linspace(0.0, 1.0, 9), np.zeros(9)], axis=1)
-        rope = scene.add_balls(x, radius=0.02, mass=0.2, material="steel")
-        scene.set_balls(rope[[0, -1]], pinned=True)
-        scene.add_springs(np.stack([rope[:-1], rope[1:]], axis=1), stiffness=4e3, collides=True)
+        count, most = 6, 0.003
+        for k in range(count):
+            x = np.stack([np.linspace(0.0, 1.0, 9) + 1.5 * k, np.zeros(9)], axis=1)
+            rope = scene.add_balls(x, radius=0.02, mass=0.2, material="steel")
+            scene.set_balls(rope[[0, -1]], pinned=True)
+            scene.add_springs(np.stack([rope[:-1], rope[1:]], axis=1), stiffness=4e3, collides=True)
     else:
         sheet = {"stiffness": 400.0, "damping": 0.0, "bending_stiffness": 0.0, "mass": 0.3, "surface_collision": True}
         cloth(scene, (1.0, 1.0), (9, 9), pinned="border", material="steel", **sheet)
-    above = scene.position.mean(axis=0) + np.array([0.06, 0.12, 0.03])[: scene.dim]
     velocity = np.array([0.0, -2.0, 0.0])[: scene.dim]
-    scene.add_balls([above], radius=0.06, mass=0.8, velocity=[velocity], material="steel")
-    assert np.all(np.abs(gains(scene)) < 0.01)
+    for k in range(count):
+        above = np.array([0.43 + 1.52 * k, 0.15, 0.53])[: scene.dim]
+        scene.add_balls([above], radius=0.05, mass=1.0, velocity=[velocity], material="steel")
+    change = gains(scene)
+    assert np.all(np.abs(change) < most), change
