@@ -122,7 +122,8 @@ def _turning(scene: Scene, setup: Setup) -> Iterator[Finding]:
 def _bounces(scene: Scene, h: float, in_time: bool) -> Iterator[Finding]:
     """A ball that arrives with less than 2 g h is held: what would bounce lower than (2 g h)^2 / (2 g) = 2 g h^2 does not. The
     bounces left out would have taken 2 v e / (g (1 - e)) with v up to 2 g h. Another ball is hit h / 2 late, u h / 2 deep: at
-    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces. Walls are hit in time, and balls where impacts are solved at the moment of touch: in_time."""
+    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces.
+    Walls are hit in time, and balls where impacts are solved at the moment of touch: in_time."""
     g, e = _gravity(scene), max_restitution(scene)
     if g == 0.0 or e == 0.0:
         return
