@@ -153,18 +153,33 @@ def viscous_share(model: ti.template(), law, total, mass, threshold, u, time):
 
 
 @ti.func
-def target_speed(before, restitution, threshold, impacts: ti.template()):
+def target_speed(before, forced, late_part, restitution, threshold, impacts: ti.template()):
     """Normal speed that a contact should have after the solve: -e times the speed before (Moreau), 0 for slow impacts.
 
     Contacts that separate have this target too, however slowly: the set as a whole changes the kinetic energy by the sum of
     lambda (target + before) / 2, which with the target 0 is a gain for each that separates.
+
+    forced [m/s]: approach speed that forces gave them in this step. It is a load and no impact; the late part of it, which they
+    had not yet where they are, is not thrown back.
 
     Where the solve is not for impacts (the short one that ends a step), fast contacts are left for the next as they are.
     """
     fast = -restitution * before
     if ti.static(not impacts):
         fast = ti.select(restitution > 0.0, ti.min(before, 0.0), 0.0 * before)
-    return ti.select(before < -threshold or before > 0.0, fast, 0.0 * before)
+    result = ti.select(before > 0.0, fast, 0.0 * before)
+    if is_impact(before, forced, threshold):
+        result = fast
+        if ti.static(impacts):
+            if restitution > 0.0:
+                result = ti.max(0.0, before + rebound(restitution, before, 2.0 * late_part * forced))
+    return result
+
+
+@ti.func
+def is_impact(u, forced, threshold):
+    """True if two things with the normal speed u close fast, whatever forces gave them in this very step."""
+    return closing_speed(u, forced) > threshold
 
 
 @ti.func

@@ -4,7 +4,8 @@ Where a crowd bounces, a solve that has not converged can add energy: a pair is 
 still to come, already part it; so does Newton's restitution together with friction. So pairs of balls that touch are stopped
 first, from velocities v0 to v1, and bounce then, by changes d of v1 (walls and sticks have their target speeds in both).
 Where the energy of v1 + d is more than that of v0, all d are scaled down to where it is not, which keeps momentum and angular
-momentum; what only rests stays at rest all the same.
+momentum; what only rests stays at rest all the same. Velocities of balls that bounce off others are taken without what forces
+added late, which no bounce throws back (contact_law.target_speed): their energy is that of the time to which places belong.
 """
 
 from taichi_sim.kernels.reductions import each_part, join, member, members, total
@@ -78,6 +79,10 @@ def sum_part(c, solver: ti.template(), ball: ti.template()):
             v0 = ti.cast(solver.velocity_before[i], solver.energy_type)
             v1 = ti.cast(solver.stopped_velocity[i], solver.energy_type)
             d = ti.cast(ball[i].v, solver.energy_type) - v1
+            if ti.static(solver.plan.loaded and not solver.plan.impacts_in_turn):
+                if solver.impacts[i] > 0:
+                    late = ti.cast(solver.plan.late_part * solver.from_forces[i].v, solver.energy_type)
+                    v0, v1 = v0 - late, v1 - late
             lost += 0.5 * (v0 - v1).dot(v0 + v1) / w
             linear += v1.dot(d) / w
             square += d.dot(d) / w

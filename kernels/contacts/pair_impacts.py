@@ -39,7 +39,7 @@ def approach_from_forces(solver: ti.template(), i, j, n):
     apart."""
     u = 0.0 * n[0]
     if ti.static(solver.plan.loaded):
-        u = -(solver.velocity_from_forces[j] - solver.velocity_from_forces[i]).dot(n)
+        u = -(solver.from_forces[j].v - solver.from_forces[i].v).dot(n)
     return u
 
 
@@ -65,7 +65,7 @@ def note_velocity_from_forces(solver: ti.template(), ball: ti.template()):
     """Note the velocity [m/s] that forces gave every ball since contacts were last looked for."""
     if ti.static(solver.plan.loaded):
         for i in range(solver.n):
-            solver.velocity_from_forces[i] = ball[i].v - solver.velocity_when_found[i]
+            solver.from_forces[i].v = ball[i].v - solver.velocity_when_found[i]
 
 
 @ti.func

@@ -173,8 +173,11 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         restitution = 0.0 * speed
         if ti.static(solver.model.has_restitution):
             restitution = law_of(solver.pairs, i, j).restitution
-        target = contact_law.target_speed(speed, restitution, solver.threshold[0], how.impacts)
-        fast = speed < -solver.threshold[0]  # an impact: never soft
+        forced = pair_impacts.approach_from_forces(solver, i, j, n)
+        target = contact_law.target_speed(
+            speed, forced, solver.plan.late_part, restitution, solver.threshold[0], how.impacts
+        )
+        fast = contact_law.closing_speed(speed, forced) > solver.threshold[0]  # an impact: never soft
         if ti.static(not how.impacts):  # nor for the one iteration that ends a step, which would throw it back
             target = ti.select(fast, speed, target)
         rebound, bias = 0.0 * speed, RIGID + 0.0 * speed
@@ -192,6 +195,9 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         if ti.static(how.impacts):
             if ti.static(solver.model.has_restitution):
                 solver.pairs.link[c].rebound_speed = rebound
+                if ti.static(solver.plan.loaded):
+                    if rebound > 0.0:
+                        solver.impacts[i], solver.impacts[j] = 1, 1
             if ti.static(solver.plan.soft):
                 solver.pairs.link[c].bias_velocity = bias
         elif ti.static(solver.plan.soft):  # what pressed stays, what bounced keeps its speed

@@ -32,7 +32,7 @@ def look_back(solver: ti.template(), stepped):
     """Take impacts back to the middle of the step: what forces gave in it, half of which is still to come, counts against
     them. stepped: False at a start, which knows of no forces yet."""
     for i in range(solver.n):
-        solver.velocity_from_forces[i] = ti.select(stepped, -1.0, 0.0) * solver.velocity_from_forces[i]
+        solver.from_forces[i].v = ti.select(stepped, -1.0, 0.0) * solver.from_forces[i].v
 
 
 @ti.func
@@ -56,7 +56,7 @@ def bounced(solver: ti.template(), i):
 @ti.func
 def late_kick(solver: ti.template(), i, kick):
     """Velocity [m/s] that a kick by forces at the end of the step gives ball i beside half of what was known when it bounced."""
-    return 0.5 * (kick + solver.velocity_from_forces[i])
+    return 0.5 * (kick + solver.from_forces[i].v)
 
 
 @ti.func

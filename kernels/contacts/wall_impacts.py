@@ -16,7 +16,7 @@ def approach_from_forces(walls: ti.template(), solver: ti.template(), i, n):
     """Speed into a wall that forces gave ball i since contacts were last looked for, negative where they pull it away."""
     u = 0.0 * n[0]
     if ti.static(solver.plan.loaded):
-        u = -solver.velocity_from_forces[i].dot(n)
+        u = -solver.from_forces[i].v.dot(n)
     elif ti.static(walls.model.has_gravity):
         u = -walls.model.gravity[0].dot(n) / solver.rate[0]
     return u

@@ -122,18 +122,17 @@ def _turning(scene: Scene, setup: Setup) -> Iterator[Finding]:
 def _bounces(scene: Scene, h: float, in_time: bool) -> Iterator[Finding]:
     """A ball that arrives with less than 2 g h is held: what would bounce lower than (2 g h)^2 / (2 g) = 2 g h^2 does not. The
     bounces left out would have taken 2 v e / (g (1 - e)) with v up to 2 g h. Another ball is hit h / 2 late, u h / 2 deep: at
-    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces, and iterations throw back
-    (1 + e) g h / 2 more. Walls are hit in time, and balls where impacts are solved at the moment of touch: in_time."""
+    rest against gravity it takes (1 - e^2) m g u h / 2 too much of the (e u)^2 m / 2 that bounces.
+    Walls are hit in time, and balls where impacts are solved at the moment of touch: in_time."""
     g, e = _gravity(scene), max_restitution(scene)
     if g == 0.0 or e == 0.0:
         return
     low, radius = 2.0 * g * h * h, float(scene.radius[~scene.pinned].min())
     early = f"; rest comes up to {4.0 * h * e / (1.0 - e):.2g} s early" if e < 1.0 else ""
     speed = _fastest(scene)
-    if speed > 0.0 and scene.pinned.any() and not in_time:
-        gained = (2.0 + 1.0 / e - 1.0 / e**2) * g * h / speed
-        way = "high" if gained > 0.0 else "low"
-        early += f"; each bounce off a pinned ball is too {way} by {abs(gained):.2g} of its height"
+    if speed > 0.0 and scene.pinned.any() and not in_time and e < 1.0:
+        lost = (1.0 / e**2 - 1.0) * g * h / speed
+        early += f"; each bounce off a pinned ball is too low by {lost:.2g} of its height"
     wanted = np.sqrt(0.5 * LOW_BOUNCE * radius / g)
     yield Finding(
         "bounces",

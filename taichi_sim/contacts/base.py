@@ -83,6 +83,8 @@ class ContactRule(FoundContacts):
             part.begin_contacts(ball, self, impacts)
         for i in range(self.n):
             self.velocity_before[i] = ball[i].v
+            if ti.static(self.plan.loaded and not self.plan.impacts_in_turn):
+                self.impacts[i] = 0
             if ti.static(self.plan.limits_energy and self.model.spins):
                 self.spin_before[i] = self.state.spin[i]
             if ti.static(self.plan.walls):
@@ -169,6 +171,19 @@ class ContactRule(FoundContacts):
     # Moving
 
     @ti.func
+    def note_velocities(self):
+        """Note the velocities of all balls where a method has no `before_move`, see note_velocity."""
+        if ti.static(self.plan.loaded and not self.plan.impacts_in_turn):
+            for i in range(self.n):
+                self.note_velocity(i)
+
+    @ti.func
+    def note_velocity(self, i):
+        """Note the velocity of ball i, which belongs to its place, before forces act on it."""
+        if ti.static(self.plan.loaded and not self.plan.impacts_in_turn):
+            self.velocity_when_found[i] = self.state.ball[i].v
+
+    @ti.func
     def advance(self, ball: ti.template(), motion: ti.template(), h, time):
         """Kick all balls, solve their contacts, with friction for `time` seconds, and move them for h seconds. motion: the
         integrator, asked for its kicks and what forces do meanwhile."""
@@ -181,6 +196,7 @@ class ContactRule(FoundContacts):
         if ti.static(self.active):
             if ti.static(motion.kicks_first):
                 for i in range(self.n):
+                    self.note_velocity(i)
                     motion.before_move(i, h)
             self.solve(ball, time, self.iterations, True)
 
@@ -253,7 +269,7 @@ class ContactRule(FoundContacts):
     def bounced(self, i):
         """True if ball i has bounced in this step."""
         found = False
-        if ti.static(self.plan.throws_back):
+        if ti.static(self.plan.marks_bounces):
             found = struck_pairs.bounced(self, i)
         if ti.static(self.plan.reflects):
             found = found or self.walls.reflected[i].norm_sqr() > 0.0

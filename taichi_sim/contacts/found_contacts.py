@@ -90,6 +90,7 @@ class FoundContacts:
             self.rate = fields.reals(np.array([1.0 / h]))  # 1/s
             self.velocity_before = fields.vectors(self.n, model.dim)  # m/s, before the solve
             self._allocate_shared(fields)
+            self._allocate_velocities(fields)
             self.allocate(fields)
         self.search_parts = tuple(self.finding())
 
@@ -133,6 +134,17 @@ class FoundContacts:
             self.warm_velocity = fields.vectors(n, dim)  # m/s, by the impulses with which pairs start
             if self.model.spins:
                 self.warm_spin = fields.spins(n, dim)  # m/s, likewise
+
+    def _allocate_velocities(self, fields: Fields) -> None:
+        n, dim, plan = self.n, self.model.dim, self.plan
+        if plan.loaded:
+            # m/s, when contacts were found, or, without impacts in turn, when forces began to act
+            self.velocity_when_found = fields.vectors(n, dim)
+            self.from_forces = fields.table({"v": ti.types.vector(dim, fields.real)}, n)  # m/s, what they added since
+        if plan.impacts_in_turn or plan.loaded:
+            self.impacts = fields.integers(
+                n
+            )  # on a ball in this step; without impacts in turn 1: off others, in this solve
 
     def allocate(self, fields: Fields) -> None:
         """Declare fields of the rule's own."""
@@ -283,6 +295,9 @@ class FoundContacts:
                 for i in range(self.n):
                     self._measure_walls(ball, i)
         self.found(ball, role)
+        if ti.static(self.plan.loaded):
+            for i in range(self.n):
+                self.velocity_when_found[i] = ball[i].v
         if ti.static(self.shares_mass and not self.plan.gathers):
             for i in range(self.n):
                 self._share_mass(ball, i)

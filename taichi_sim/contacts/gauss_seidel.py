@@ -30,8 +30,7 @@ class GaussSeidel(IteratedRule):
             self.block_is_active = fields.integers(2 * self.block_limit)
             self.block_was_struck = fields.integers(self.block_limit)
             # disturbed: round after the last impact on a ball or one in its list, 0: one closes fast, or UNDISTURBED;
-            # impacts: on a ball in this step
-            self.disturbed, self.impacts = fields.integers(n), fields.integers(n)
+            self.disturbed = fields.integers(n)
         if self.plan.bounces:
             self.since_impact = fields.reals(n)  # s, of the last one on a ball; a step where it had none
         if self.plan.throws_back:
@@ -50,14 +49,10 @@ class GaussSeidel(IteratedRule):
             self.velocity_change = fields.vectors(n, dim)  # m/s, by the last iteration
             # of a root: slope and curvature [J] along that change, and how many times it may be made again
             self.slope, self.curvature, self.longest_extension = (fields.reals(n) for _ in range(3))
-        if self.plan.loaded:
-            # [m/s] when contacts were found, and what forces added since
-            self.velocity_when_found, self.velocity_from_forces = fields.vectors(n, dim), fields.vectors(n, dim)
 
     @ti.func
     def before_iterations(self, ball: ti.template(), time, impacts: ti.template()):
         """Impacts one by one."""
-        pair_impacts.note_velocity_from_forces(self, ball)
         if ti.static(self.plan.bounces and not self.plan.at_search and impacts):
             pair_impacts.all_rounds(self, ball, time)
 
@@ -107,14 +102,10 @@ class GaussSeidel(IteratedRule):
 
     @ti.func
     def found(self, ball: ti.template(), role: ti.template()):
-        """Mark the balls that arrive fast at walls; impacts one by one, where forces are asked for only then; and note the
-        velocities from which on forces count as load."""
+        """Mark the balls that arrive fast at walls; impacts one by one, where forces are asked for only then."""
         if ti.static(self.plan.impacts_in_turn and self.plan.walls_in_turn):
             pair_impacts.mark_arrivals_at_walls(self)
         if ti.static(self.plan.at_search):
             struck_pairs.clear(self)
             struck_pairs.look_back(self, role == STEP)
             pair_impacts.all_rounds(self, ball, self.friction_part / self.rate[0])
-        if ti.static(self.plan.loaded):
-            for i in range(self.n):
-                self.velocity_when_found[i] = ball[i].v

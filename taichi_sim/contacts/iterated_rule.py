@@ -1,11 +1,9 @@
 """IteratedRule: solves that start from accumulated impulses and go over all contacts several times."""
 
-from typing import Any
-
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.parts import STEP, Part
-from taichi_sim.kernels.contacts import energy_limiter, pair_solve
+from taichi_sim.kernels.contacts import energy_limiter, pair_impacts, pair_solve
 from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["IteratedRule"]
@@ -16,9 +14,6 @@ FEW_ITERATIONS = 4  # up to which a launch of its own for each is not worth what
 @ti.data_oriented
 class IteratedRule(ContactRule):
     """Base of rules that iterate. To be given: `iterate`, one iteration; what comes before the first and after the last one."""
-
-    velocity_when_found: Any  # where the plan is `loaded`
-    velocity_from_forces: Any
 
     @ti.func
     def iterate(self, ball: ti.template(), time, how: ti.template()):
@@ -63,6 +58,7 @@ class IteratedRule(ContactRule):
     @ti.func
     def open_solve(self, ball: ti.template(), time, impacts: ti.template()):
         """Start from what was accumulated, and the first iteration."""
+        pair_impacts.note_velocity_from_forces(self, ball)
         self.before_iterations(ball, time, impacts)
         self.begin(ball, impacts)
         if ti.static(impacts):
@@ -85,7 +81,7 @@ class IteratedRule(ContactRule):
             for i in range(self.n):
                 self.velocity_before[i] = ball[i].v
                 if ti.static(self.plan.loaded):
-                    self.velocity_from_forces[i] = ball[i].v - self.velocity_when_found[i]
+                    self.from_forces[i].v = ball[i].v - self.velocity_when_found[i]
                 if ti.static(self.plan.walls):
                     self.walls.begin(ball, self, i, False, False)
                 self.exclude_pairs(ball, i)

@@ -35,6 +35,8 @@ class ContactPlan:
     keeps_loads: bool  # of an impact solves carry a part only into the next step, see kernels.contacts.warm_start
     foresees: bool  # pairs that may meet within the step count
     loaded: bool  # what forces add in a step is no impact
+    late_part: float  # of that, which balls had not yet at their places: no bounce throws it back
+    marks_bounces: bool  # balls that bounce are known, to methods that ask for forces at the end of a step
     line_search: bool  # see kernels.contacts.impact_iterations
     limits_energy: bool  # see kernels.contacts.energy_limiter
     reflects: (
@@ -63,6 +65,7 @@ def plan_contacts(
     *,
     relaxes: bool,
     reflects: bool,
+    late_part: float,
     custom_method: bool,
     extra_forces: bool,
     iterations: int,
@@ -70,8 +73,8 @@ def plan_contacts(
     atomic: bool,
     serial: bool,
 ) -> ContactPlan:
-    """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, custom_method: of the integrator;
-    extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have work."""
+    """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, late_part, custom_method: of the
+    integrator; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have work."""
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
 
@@ -144,6 +147,7 @@ def plan_contacts(
         "soft contacts, warm starts, and no impacts in turn: iterations over all contacts throw back what an impact took",
     )
     restitution = any(material.restitution > 0 for material in used_materials(scene))
+    throws = pairs and restitution and rule.warm_starts and not impacts_in_turn  # by iterations over all contacts
     bounces = decide("bounces", impacts_in_turn and restitution, "impacts in turn, and a material with restitution")
     decide(
         "reflects",
@@ -159,8 +163,13 @@ def plan_contacts(
     )
     decide(
         "loaded",
-        bounces and (pulls or gravity),
-        "bounces, and gravity, springs or forces, which may press single balls together",
+        (bounces or throws) and (pulls or gravity),
+        "pairs that bounce, and gravity, springs or forces, which may press single balls together",
+    )
+    decide(
+        "marks_bounces",
+        (bounces or throws) and pulls and reflects,
+        "pairs that bounce, forces that change within a step, and a method that asks for them at its end",
     )
     mass = scene.mass[~scene.pinned]
     decide(
@@ -185,7 +194,12 @@ def plan_contacts(
     del chosen["contacts"]
     chosen["skin"] = SKIN if chosen["skin"] else 0.0
     return ContactPlan(
-        **chosen, iterations=iterations, atomic=atomic and not gathers, serial=serial, reasons=tuple(reasons)
+        **chosen,
+        late_part=late_part,
+        iterations=iterations,
+        atomic=atomic and not gathers,
+        serial=serial,
+        reasons=tuple(reasons),
     )
 
 

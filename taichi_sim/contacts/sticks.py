@@ -112,8 +112,12 @@ class Sticks:
         """Fix the target speed of contact c, and what it starts with."""
         contact = self.contact[c]
         u = self.relative_velocity(ball, contact).dot(contact.normal)
-        e = self.law(contact).restitution
-        self.contact[c].target = contact_law.target_speed(u, e, solver.threshold[0], impacts)
+        e, forced = self.law(contact).restitution, 0.0 * u
+        if ti.static(solver.plan.loaded):
+            forced = -self.relative_velocity(solver.from_forces, contact).dot(contact.normal)
+        self.contact[c].target = contact_law.target_speed(
+            u, forced, solver.plan.late_part, e, solver.threshold[0], impacts
+        )
         warm_start.start(self, solver, c, u, contact.normal)
 
     @ti.func

@@ -194,11 +194,15 @@ class TriangleContacts:
         contact = self.contact[c]
         if contact.thickness >= 0.0:
             u = self.relative_velocity(ball, c).dot(contact.normal)
-            restitution = self.law(c).restitution
-            target = contact_law.target_speed(u, restitution, solver.threshold[0], impacts)
+            restitution, forced = self.law(c).restitution, 0.0 * u
+            if ti.static(solver.plan.loaded):
+                forced = -self.relative_velocity(solver.from_forces, c).dot(contact.normal)
+            target = contact_law.target_speed(
+                u, forced, solver.plan.late_part, restitution, solver.threshold[0], impacts
+            )
             gap = contact.distance - contact.thickness
             if gap > 0.0:  # what bounces does so when it touches
-                bounces = restitution > 0.0 and u < -solver.threshold[0]
+                bounces = restitution > 0.0 and contact_law.is_impact(u, forced, solver.threshold[0])
                 target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
             self.contact[c].target = target
             self.contact[c].impulse = 0.0

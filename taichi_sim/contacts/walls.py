@@ -197,7 +197,10 @@ class Walls(Surfaces):
                     self.forget(c)
                 e = self.law(i, k).restitution
                 before = ti.select(crowded or role == SUNK, u, ti.max(0.0, u))  # alone, what approaches is pressed
-                target = contact_law.target_speed(before, e, self.threshold[0], impacts)
+                forced = 0.0 * u
+                if ti.static(solver.plan.loaded and not self.plan.impacts_in_turn):
+                    forced = wall_impacts.approach_from_forces(self, solver, i, n)
+                target = contact_law.target_speed(before, forced, self.plan.late_part, e, self.threshold[0], impacts)
                 if ti.static(self.plan.impacts_in_turn):
                     self.contact[c].starting_impulse = self.contact[c].impulse
                 if ti.static(self.plan.walls_in_turn):

@@ -38,6 +38,7 @@ class Integrator:
 
     `relaxes`: its substep ends with an iteration over contacts that takes back what soft contacts add to velocities when they
     push out overlap; without it contacts are rigid. `reflects`: its second half of the kick goes through `contacts.second_half`.
+    `late_part`: of the kick before the move, which is not yet in the velocities that belong to the places where it starts.
     `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes through the springs itself, each once, see
     kernels.springs.edge_blocks; `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what
     they find; `advance` runs one from the host, kernel by kernel, because inside a kernel only the outermost loops run in
@@ -51,6 +52,7 @@ class Integrator:
     method = Method("user-defined")
     relaxes = False
     reflects = False
+    late_part = 0.5
     implicit_damping = False
     each_once = False
     in_turn = False
@@ -126,6 +128,7 @@ class Integrator:
     @ti.func
     def _kick_first(self, role: ti.template(), h, time):
         for i in range(self.model.n):
+            self.contacts.note_velocity(i)
             self.before_move(i, h)
 
     @ti.func

@@ -16,6 +16,7 @@ class RK4(Integrator):
 
     method = methods.RK4
     relaxes = True
+    late_part = 1.0
     friction_part = 0.5
 
     def allocate(self, fields: Fields) -> None:

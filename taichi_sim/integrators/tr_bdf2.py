@@ -35,6 +35,7 @@ class TRBDF2(Implicit):
     takes_gas = True
     tolerance = 1e-3
     reflects = True
+    late_part = 1.0
     stages, opening = 3, 1
     part = 0.5 * GAMMA
     friction_part = 0.5
@@ -49,7 +50,7 @@ class TRBDF2(Implicit):
         if self.forces.extra:
             self.here = fields.table(phase_type(dim, fields.real), n)
         self.driven = self.pins is not None and self.forces.damped
-        self.answers = self.solves and (self.contacts.plan.reflects or self.contacts.plan.throws_back)
+        self.answers = self.solves and (self.contacts.plan.reflects or self.contacts.plan.marks_bounces)
         if self.answers:
             self.struck = fields.integers(self.solver.bodies.count)  # 1: a ball of this body bounced in the last step
         if self.driven:

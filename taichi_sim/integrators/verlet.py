@@ -42,6 +42,7 @@ class Verlet(Integrator):
     relaxes = True
     friction_part = 0.5
     reflects = True
+    late_part = 1.0
 
     def fit(self, scene: Scene) -> None:
         """Choose how damping acts."""
@@ -178,12 +179,14 @@ class Verlet(Integrator):
     @ti.func
     def _open(self, h):
         """The first stage of the half before the drift."""
+        self.contacts.note_velocities()
         self.forces.springs.damp(self.ball, self.forces.damping_impulse, 0.5 * h)
         self.kick.start(0, h, self.pull, self.delayed)
 
     @ti.func
     def _end_first_half(self, role: ti.template(), h, time):
         if ti.static(not self.network):
+            self.contacts.note_velocities()
             self.kick.undamped(0, h, self.pull, self.delayed)
         self.kick.lone_springs(0, h, self.pull, self.delayed)
 

@@ -129,6 +129,7 @@ class XPBD(Integrator):
     @ti.func
     def _kick_by_others(self, role: ti.template(), h, time):
         self.forces.external(self.ball, h, time)
+        self.contacts.note_velocities()
         for i in range(self.model.n):
             if ti.static(self.notes_load):
                 self.start[i] = self.ball[i].v

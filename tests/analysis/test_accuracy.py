@@ -232,13 +232,14 @@ def test_bounces_off_a_pinned_ball_are_as_high_as_said():
     y = np.array(y).reshape(-1, 3, 40)
     hit = round(0.36 / h)  # all have bounced once
     higher = y[hit:].max(axis=0) / (high * np.array(es)[:, None] ** 2) - 1.0
-    for k, sign in enumerate((-1.0, 1.0, 1.0)):
+    assert abs(np.mean(higher[2])) < 1e-3
+    for k in range(2):
         alone = ts.Scene(dim=2, gravity=(0.0, -G))
         alone.add_material("m", restitution=es[k])
         alone.add_balls([[0, -R], [0, R + 0.5]], radius=R, pinned=[True, False], material="m")
         words = next(accuracy.findings(alone, accuracy.Setup(VERLET, h, "f64", "jacobi"))).what
-        assert ("too high" in words) == (sign > 0.0)
-        assert np.mean(higher[k]) == pytest.approx(sign * figure(words, " of its height"), rel=0.25)
+        assert "too low" in words
+        assert np.mean(higher[k]) == pytest.approx(-figure(words, " of its height"), rel=0.25)
         by_turns = accuracy.Setup(VERLET, h, "f64", "gauss_seidel", at_touch=True)
         assert "pinned" not in next(accuracy.findings(alone, by_turns)).what
 
