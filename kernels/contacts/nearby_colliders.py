@@ -7,6 +7,9 @@ from taichi_sim.device.engine import ti
 
 FAR_GAP = 1e30  # m, the gap of an empty slot
 EMPTY = -1  # its key
+FORESEEN_STEPS = (
+    2.0  # as far as a ball comes in so many at its speed, where implicit stages ask for what they will meet
+)
 
 
 @ti.func
@@ -27,6 +30,9 @@ def find(walls: ti.template(), x, v, i, crowded, h):
             at.at_seam[i] = exact
         for k in range(walls.colliders.count):
             reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
+            if ti.static(walls.foresees):
+                u = v - geometry.surface_velocity(walls.colliders, k, x, 0.0)
+                reach = ti.max(reach, FORESEEN_STEPS * h * u.norm())
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
                 for face in range(walls.colliders.faces):
                     d, n, within = walls.colliders.distance(k, face, x, 0.0, r, exact)

@@ -51,6 +51,9 @@ class Walls(Surfaces):
         self.mass_parts = fields.reals(model.n)  # into which a ball splits its mass between surfaces
         if not self.has_colliders:
             self.clearance = fields.reals(model.n)  # m, to the nearest wall: most reach none in a step
+        self.foresees = (
+            False  # whether slots hold colliders that a ball may come to; for implicit stages, see HeldBalls
+        )
         self.touching = fields.integers(model.n)  # surfaces that a ball touches: most touch none and are passed over
         if plan.bends:
             vector = ti.types.vector(model.dim, fields.real)

@@ -16,6 +16,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.integrators.bodies import Bodies
 from taichi_sim.kernels.contacts.kinds import RESTING
+from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["HeldBalls"]
 
@@ -34,6 +35,7 @@ class HeldBalls:
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
+        walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
         self.contact = fields.table(
@@ -52,17 +54,17 @@ class HeldBalls:
         held, v = 0, start.v
         for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
             c, holds = i * self.walls.count + k, False
-            if k < self.walls.planes.count or self.walls.touching[i] > 0:
+            gap = self.walls.gap(self.walls.state.ball[i].x, i, k)
+            if gap < FAR_GAP:
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
                 if self.walls.contact[c].role == RESTING:
                     holds = self.walls.contact[c].impulse > 0.0 or approach > 0.0
                     self.contact[c].target = 0.0
-                elif meets and k < self.walls.planes.count:
-                    ball = self.walls.state.ball[i]
-                    gap = ti.max(0.0, self.walls.planes.gap(ball.x, i, k)) + n.dot(start.x - ball.x)
-                    holds = s * approach > gap
-                    self.contact[c].target = -gap / s
+                elif meets:
+                    ahead = ti.max(0.0, gap) + n.dot(start.x - self.walls.state.ball[i].x)
+                    holds = s * approach > ahead
+                    self.contact[c].target = -ahead / s
             self.contact[c].holds = ti.cast(holds, ti.i32)
             held += ti.cast(holds, ti.i32)
         self.normals[i] = ti.Matrix.zero(float, self.dim, self.dim)

@@ -63,3 +63,20 @@ def test_what_lands_on_stiff_springs_gains_no_energy_and_leaves_again(method, h)
     assert landed.all()
     assert np.diff(stored).max() < 5e-3 * stored[0]
     assert left.sum() >= (bodies // 2 if method == "tr_bdf2" else 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "h"), [("implicit_euler", 1 / 90), ("tr_bdf2", 1 / 200)])
+def test_a_sheet_that_lands_on_a_smooth_sphere_gains_no_energy(method, h):
+    scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
+    place = (-0.5, 0.415, -0.45)
+    ts.shapes.cloth(scene, (1.0, 0.9), (15, 13), position=place, material="silk", warp_angle=20.0, radius=0.004)
+    scene.set_balls(slice(None), material="default")  # without friction
+    scene.add_collider(ts.Sphere((0.0, 0.0, 0.0), 0.4))
+    with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+        stored = [sim.energy().total]
+        for _ in range(round(0.45 / h)):
+            sim.step()
+            stored.append(sim.energy().total)
+        assert sim.contacts().number > 10
+    assert max(stored) < 1.001 * stored[0]
