@@ -34,7 +34,9 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
+        # what rests on it does not meet it, unless another surface has thrown it back there
         resting = walls.touching[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
+        resting = resting and u >= -walls.threshold[0]
         if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:

@@ -137,9 +137,24 @@ class Walls(Surfaces):
         self.touching[i] = count
         if ti.static(not self.has_colliders):
             self.clearance[i] = clearance
+        if count > 1:
+            T, solving = self._stop_arrivals(i, T, solving)
         self.mass_parts[i] = contact_law.share(T, solving, not self.model.has_friction)
         if ti.static(self.plan.walls_in_turn):
             self.crowded[i] = ti.select(crowded, ti.select(fast, BALL_ARRIVING, BALL_CROWDED), BALL_ALONE)
+
+    @ti.func
+    def _stop_arrivals(self, i, T, solving):
+        """Leave arrivals of ball i, which touches several surfaces, to the solve where they do not bounce: the move would throw it
+        from one to the other. Sum of n n^T over the surfaces that are solved, and their number, from those so far."""
+        for k in range(self.count):
+            if self.contact[i * self.count + k].role == ARRIVING:
+                if self.law(i, k).restitution == 0.0:
+                    self.contact[i * self.count + k].role = RESTING
+                    n = self.normal(i, k)
+                    T += n.outer_product(n)
+                    solving += 1
+        return T, solving
 
     @ti.func
     def shares(self, ball: ti.template(), i):
