@@ -259,15 +259,15 @@ class Walls(Surfaces):
         if ti.static(solver.model.spins):
             spin = solver.state.spin[i]
         w = self.model.inverse_mass[i]
-        sweeps = ti.select(self.touching[i] > 0 and w > 0.0, 1, 0)
-        sweep = 0
+        sweeps, gain = ti.select(self.touching[i] > 0 and w > 0.0, 1, 0), 0.0 * w + 1.0
+        sweep, facing, normals, scale = 0, 0.0 * w, ti.Vector.zero(float, self.model.dim), v.norm()
         while sweep < sweeps:
-            solved, changed = 0, 0.0 * w
+            changed = 0.0 * w
             for k in range(self.count):
                 if self.is_solved(i * self.count + k):
-                    solved += 1
-                    p = self._further_impulse(solver, i, k, v, spin, ti.select(sweep == 0, time, 0.0 * time))
-                    t = -cross(self.normal(i, k), p)
+                    n = self.normal(i, k)
+                    p = self._further_impulse(solver, i, k, v, spin, gain, ti.select(sweep == 0, time, 0.0 * time))
+                    t = -cross(n, p)
                     total += p
                     angular += t
                     if ti.static(solver.in_turn):
@@ -275,17 +275,23 @@ class Walls(Surfaces):
                         changed = ti.max(changed, w * p.norm())
                         if ti.static(solver.model.spins):
                             spin += (self.model.spin_response(i) * w) * t
+                        if sweep == 0:
+                            facing = ti.min(facing, n.dot(normals))
+                            normals += n
+                            scale += w * self.contact[i * self.count + k].impulse
             sweep += 1
             if ti.static(solver.in_turn):
-                if sweep == 1 and solved > 1:
+                if sweep == 1 and facing < 0.0:
                     sweeps = MOST_SWEEPS
-                if changed <= self.rounding * (v.norm() + w * total.norm()):
+                    if ti.static(not self.model.has_friction):
+                        gain = contact_law.over_relaxation(facing)
+                if changed <= self.rounding * scale:
                     sweeps = sweep
         return total, angular
 
     @ti.func
-    def _further_impulse(self, solver: ti.template(), i, k, v, spin, time):
-        """Further impulse on ball i, at the velocity v and this spin, by its contact k."""
+    def _further_impulse(self, solver: ti.template(), i, k, v, spin, gain, time):
+        """Further impulse on ball i, at the velocity v and this spin, by its contact k: `gain` times what reaches its target."""
         c, n = i * self.count + k, self.normal(i, k)
         contact = self.contact[c]
         mass = 1.0 / self.model.inverse_mass[i]
@@ -294,7 +300,7 @@ class Walls(Surfaces):
         elif ti.static(not (solver.in_turn or solver.sums_plainly)):
             mass /= self.mass_parts[i]
         u = self.relative(v, i, k)
-        now = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
+        now = contact_law.normal_impulse(u.dot(n), contact.target, gain * mass, contact.impulse)
         p = (now - contact.impulse) * n
         self.contact[c].impulse = now
         if ti.static(self.model.has_friction):
