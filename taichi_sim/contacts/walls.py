@@ -145,8 +145,8 @@ class Walls(Surfaces):
 
     @ti.func
     def _stop_arrivals(self, i, T, solving):
-        """Leave arrivals of ball i, which touches several surfaces, to the solve where they do not bounce: the move would throw it
-        from one to the other. Sum of n n^T over the surfaces that are solved, and their number, from those so far."""
+        """Leave arrivals of ball i, which touches several surfaces, to the solve where they do not bounce: the move would throw
+        it from one to the other. Sum of n n^T over the surfaces that are solved, and their number, from those so far."""
         for k in range(self.count):
             if self.contact[i * self.count + k].role == ARRIVING:
                 if self.law(i, k).restitution == 0.0:

@@ -10,8 +10,8 @@ G, R, LENGTH = 9.81, 0.07, 0.3
 
 
 def wedge(dim, walls, friction, degrees, drop):
-    """Two balls on a stiff spring, one above the other, and how high the lower one rests between the walls: a wedge of that angle,
-    or, of three, a funnel."""
+    """Two balls on a stiff spring, one above the other, and how high the lower one rests between the walls: a wedge of that
+    angle, or, of three, a funnel."""
     half = np.radians(0.5 * degrees)
     scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
     scene.add_material("smooth", friction=friction)
