@@ -20,6 +20,7 @@ FASTEST_PUSH_OUT = 20.0  # of the threshold speed: soft contacts do not push out
 CALM_PUSH_OUT = 5.0  # the same where solves start from loads, see pair_solve.calm_push_out_speed
 DEEP_OVERLAP = 0.2  # of the radius: where it is twice as fast
 TOUCH_TOLERANCE = 1e-5  # of the radius: a ball this close that hardly approaches rests
+LEAST_SQUARED_SINE = 1e-3  # of over-relaxation: normals that face each other more exactly converge more slowly
 CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
 
 
@@ -44,6 +45,13 @@ def soft_impulse(u, target, mass, kept):
     """New total normal impulse [N s] of a soft contact, which has `kept` of what it accumulated; `target` holds the push-out
     speed as well. See `normal_impulse`."""
     return ti.max(0.0, kept + (target - u) * (SOFT_MASS * mass))
+
+
+@ti.func
+def over_relaxation(cosine):
+    """Gain of impulses of two contacts of one ball, by the cosine between their normals, with which sweeps in turn converge
+    fastest (Young 1954); below 2, so that none gains energy."""
+    return 2.0 / (1.0 + ti.sqrt(ti.max(LEAST_SQUARED_SINE, 1.0 - cosine * cosine)))
 
 
 @ti.func

@@ -9,7 +9,7 @@ h a / 2 - m (m . h a / 2) with m = sqrt((1 + e) t / h) n, its `reflected`. Witho
 speed u would gain h^2 k u^2 / 6 on average, as the force changes with its way.
 """
 
-from taichi_sim.kernels.contacts import bent_paths, surface_ways
+from taichi_sim.kernels.contacts import bent_paths, contact_law, surface_ways
 from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
 from taichi_sim.kernels.contacts.colliders import surface_velocity
 from taichi_sim.kernels.contacts.contact_law import decayed, rebound
@@ -24,8 +24,9 @@ MOST_IMPACTS = 8  # per ball and step; a wedge that asks for more stops the ball
 
 
 @ti.func
-def first_wall(walls: ti.template(), i, x, v, a, remaining):
-    """Earliest wall hit by ball i within `remaining` seconds: its number or NOTHING, and the time."""
+def first_wall(walls: ti.template(), i, x, v, a, remaining, rested):
+    """Earliest wall hit by ball i within `remaining` seconds: its number or NOTHING, and the time. rested: the wall that it met
+    just now and rests on, which rounding must not have it meet again."""
     hit = NOTHING
     time = remaining
     for k in range(walls.planes.count):
@@ -34,7 +35,10 @@ def first_wall(walls: ti.template(), i, x, v, a, remaining):
         u = wall.normal.dot(v)
         pull = wall.normal.dot(a)
         closest = gap + ti.min(0.0, u) * remaining + 0.5 * ti.min(0.0, pull) * remaining * remaining
+        # what rests on it does not meet it, unless another surface has thrown it back there
         resting = walls.touching[i] > 0 and walls.contact[i * walls.count + k].role == RESTING
+        resting = resting and u >= -walls.threshold[0]
+        resting = resting or k == rested
         if gap >= -walls.tolerance(x, i, 0.0) and closest <= 0.0 and not resting:
             t = crossing(ti.max(gap, 0.0), u, pull, 2.0 * remaining)
             if t < time:
@@ -80,6 +84,16 @@ def is_caught(law, u, press, threshold, h):
     """True if a ball that arrives with the normal speed u < 0 rests: it is slow, does not bounce, or what presses it into the
     surface [m/s^2] would bring it back at once, so that the bounces to come add up to a small part of the step."""
     return -u <= threshold or law.restitution == 0.0 or -2.0 * law.restitution * u < SHORTEST_FLIGHT * h * press
+
+
+@ti.func
+def beside(last, n, v):
+    """The vector v, which leads along a surface with the normal n, without what leads back into the one with the normal `last`:
+    in a wedge a ball would be thrown from one to the other without end."""
+    across = last - last.dot(n) * n
+    if last.dot(v) < 0.0 and across.dot(across) > contact_law.LEAST_SQUARED_SINE:
+        v -= across.dot(v) / across.dot(across) * across
+    return v
 
 
 @ti.func
@@ -220,6 +234,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     fast = False  # it may have to stop on its way at another ball, see ccd_balls
     if ti.static(walls.plan.pairs):
         fast = shift.dot(shift) > walls.model.radius[i] ** 2
+    rested, last = NOTHING, 0.0 * v  # the wall on which it came to rest just now; the normal of such a surface
     beyond, number = 0.0 * h, 0  # m, length of the path beyond the first bend; bends
     spin = zero_scalar_in_2d(walls.model.dim)
     if ti.static(walls.plan.bends):
@@ -230,7 +245,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     for _ in range(MOST_IMPACTS):
         if remaining > 0.0:
             start = ti.select(touched, shift, 0.0 * shift)
-            hit, t = first_wall(walls, i, x + start, speed, pull, remaining)
+            hit, t = first_wall(walls, i, x + start, speed, pull, remaining, rested)
             other = NOTHING
             if ti.static(walls.has_colliders):
                 other, t = first_collider(walls, i, x + start, speed, pull, h - remaining, t, x, settled, floor, place)
@@ -259,6 +274,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 speed = came
                 remaining -= t
                 body = -1  # that has a probe
+                rests, normal = False, 0.0 * v
                 if other == NOTHING:
                     normal = walls.planes.wall[hit].normal
                     law = walls.law(i, hit)
@@ -273,18 +289,23 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 elif ti.static(walls.has_colliders):
                     if other >= 0:
                         k = other // walls.colliders.faces
-                        speed, pull, rests, n = hit_collider(
+                        speed, pull, rests, normal = hit_collider(
                             walls, i, other, x + shift, came, pull, since, threshold, h
                         )
                         if ti.static(walls.probed):
                             body = walls.received.solid[k]
                         if ti.static(walls.plan.reflects):
                             law = walls.law_of_material(i, walls.colliders.shape[k].surface)
-                            note_reflection(walls, i, n, law, rests, since / h, body)
+                            note_reflection(walls, i, normal, law, rests, since / h, body)
                         if rests:
-                            settled, floor, place = k, n, x + shift
+                            settled, floor, place = k, normal, x + shift
                     else:  # UNKNOWN_WAY: it waits where it is
                         remaining = 0.0
+                rested = ti.select(rests and other == NOTHING, hit, NOTHING)
+                if ti.static(not (walls.moves or walls.model.has_friction)):
+                    if rests:
+                        speed, pull = beside(last, normal, speed), beside(last, normal, pull)
+                        last = normal
                 if ti.static(walls.probed):
                     change = speed - came + remaining * (pull - load)
                     walls.received.add(i, body, change / walls.model.inverse_mass[i])

@@ -28,6 +28,8 @@ from taichi_sim.kernels.vectors import cross, lever, zero_scalar_in_2d
 
 __all__ = ["Walls"]
 
+MOST_SWEEPS = 64  # over the surfaces of one ball, where it has several, in an iteration
+
 
 @ti.data_oriented
 class Walls(Surfaces):
@@ -146,9 +148,24 @@ class Walls(Surfaces):
         self.touching[i] = count
         if ti.static(not self.has_colliders):
             self.clearance[i] = clearance
+        if count > 1:
+            T, solving = self._stop_arrivals(i, T, solving)
         self.mass_parts[i] = contact_law.share(T, solving, not self.model.has_friction)
         if ti.static(self.plan.walls_in_turn):
             self.crowded[i] = ti.select(crowded, ti.select(fast, BALL_ARRIVING, BALL_CROWDED), BALL_ALONE)
+
+    @ti.func
+    def _stop_arrivals(self, i, T, solving):
+        """Leave arrivals of ball i, which touches several surfaces, to the solve where they do not bounce: the move would throw
+        it from one to the other. Sum of n n^T over the surfaces that are solved, and their number, from those so far."""
+        for k in range(self.count):
+            if self.contact[i * self.count + k].role == ARRIVING:
+                if self.law(i, k).restitution == 0.0:
+                    self.contact[i * self.count + k].role = RESTING
+                    n = self.normal(i, k)
+                    T += n.outer_product(n)
+                    solving += 1
+        return T, solving
 
     @ti.func
     def shares(self, ball: ti.template(), i):
@@ -249,43 +266,71 @@ class Walls(Surfaces):
 
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i, time):
-        """Further impulse and angular impulse on ball i from the walls it rests on or is inside of. Fast arrivals are left to
-        `move`."""
+        """Further impulse and angular impulse on ball i from the walls it rests on or is inside of. A rule that takes contacts in
+        turn repeats those of one ball until they agree. Fast arrivals are left to `move`."""
         total, angular = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
         v, spin = ball[i].v, zero_scalar_in_2d(self.model.dim)
         if ti.static(solver.model.spins):
             spin = solver.state.spin[i]
         w = self.model.inverse_mass[i]
-        for k in range(ti.select(self.touching[i] > 0 and w > 0.0, self.count, 0)):
-            c = i * self.count + k
-            contact = self.contact[c]
-            if self.is_solved(c):
-                n = self.normal(i, k)
-                mass = 1.0 / (w * self.mass_parts[i])
-                if ti.static(solver.split):
-                    mass = 1.0 / solver.effective_inverse_mass[i]
-                if ti.static(solver.sums_plainly):
-                    mass = 1.0 / w
-                u = self.relative(v, i, k)
-                now = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
-                p = (now - contact.impulse) * n
-                self.contact[c].impulse = now
-                if ti.static(self.model.has_friction):
-                    slip, tangential_mass = u, mass
-                    if ti.static(solver.model.spins):
-                        slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
-                        tangential_mass *= self.model.sideways(i)
-                    law, before = self.law(i, k), contact.tangential_impulse
-                    change, tangential = contact_law.friction_impulse(
-                        self.model, law, n, u, slip, mass, tangential_mass, before, now, self.threshold[0], time
-                    )
-                    self.contact[c].tangential_impulse = tangential
-                    p += change
-                if ti.static(self.probed):
-                    self.record(i, k, p)
-                total += p
-                angular += -cross(n, p)
+        sweeps, gain = ti.select(self.touching[i] > 0 and w > 0.0, 1, 0), 0.0 * w + 1.0
+        sweep, facing, normals, scale = 0, 0.0 * w, ti.Vector.zero(float, self.model.dim), v.norm()
+        while sweep < sweeps:
+            changed = 0.0 * w
+            for k in range(self.count):
+                if self.is_solved(i * self.count + k):
+                    n = self.normal(i, k)
+                    p = self._further_impulse(solver, i, k, v, spin, gain, ti.select(sweep == 0, time, 0.0 * time))
+                    t = -cross(n, p)
+                    total += p
+                    angular += t
+                    if ti.static(solver.in_turn):
+                        v += w * p
+                        changed = ti.max(changed, w * p.norm())
+                        if ti.static(solver.model.spins):
+                            spin += (self.model.spin_response(i) * w) * t
+                        if sweep == 0:
+                            facing = ti.min(facing, n.dot(normals))
+                            normals += n
+                            scale += w * self.contact[i * self.count + k].impulse
+            sweep += 1
+            if ti.static(solver.in_turn):
+                if sweep == 1 and facing < 0.0:
+                    sweeps = MOST_SWEEPS
+                    if ti.static(not self.model.has_friction):
+                        gain = contact_law.over_relaxation(facing)
+                if changed <= self.rounding * scale:
+                    sweeps = sweep
         return total, angular
+
+    @ti.func
+    def _further_impulse(self, solver: ti.template(), i, k, v, spin, gain, time):
+        """Further impulse on ball i, at the velocity v and this spin, by its contact k: `gain` times what reaches its target."""
+        c, n = i * self.count + k, self.normal(i, k)
+        contact = self.contact[c]
+        mass = 1.0 / self.model.inverse_mass[i]
+        if ti.static(solver.split):
+            mass = 1.0 / solver.effective_inverse_mass[i]
+        elif ti.static(not (solver.in_turn or solver.sums_plainly)):
+            mass /= self.mass_parts[i]
+        u = self.relative(v, i, k)
+        now = contact_law.normal_impulse(u.dot(n), contact.target, gain * mass, contact.impulse)
+        p = (now - contact.impulse) * n
+        self.contact[c].impulse = now
+        if ti.static(self.model.has_friction):
+            slip, tangential_mass = u, mass
+            if ti.static(solver.model.spins):
+                slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
+                tangential_mass *= self.model.sideways(i)
+            law, before = self.law(i, k), contact.tangential_impulse
+            change, tangential = contact_law.friction_impulse(
+                self.model, law, n, u, slip, mass, tangential_mass, before, now, self.threshold[0], time
+            )
+            self.contact[c].tangential_impulse = tangential
+            p += change
+        if ti.static(self.probed):
+            self.record(i, k, p)
+        return p
 
     @ti.func
     def correct_positions(self, ball: ti.template(), solver: ti.template(), i, h):

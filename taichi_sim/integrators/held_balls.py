@@ -20,8 +20,9 @@ from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["HeldBalls"]
 
-LEAST_SQUARE = 0.25  # of the sine between a normal and those before it: below, it adds no direction
-SWEEPS = 32  # over the surfaces of a ball, where it has several, for the impulses of each
+# squared sine of the angle (3 degrees) between a normal and those before it: below, it adds no direction
+LEAST_SQUARE = 0.003
+SWEEPS = 64  # over the surfaces of a ball, where it has several, for the impulses of each
 
 
 @ti.data_oriented
@@ -70,16 +71,32 @@ class HeldBalls:
         self.normals[i] = ti.Matrix.zero(float, self.dim, self.dim)
         self.reaction[i] = ti.Vector.zero(float, self.dim)
         if held > 0:
-            v = self._collect(i, v)
-            if not self.holds(i):
-                v = start.v
+            self._span(i)
+            if self.holds(i):
+                v = self._with_targets(i, v)
         return v
 
     @ti.func
-    def _collect(self, i, v):
-        """Note the directions along which ball i is held; v with the target speeds of its surfaces along these. In a narrow wedge
-        it is not held: contacts there are far from solved."""
+    def _span(self, i):
+        """Note the directions along which ball i is held. Between two surfaces that face each other it is not: they would have to
+        push without bound."""
         normals, first, narrow = ti.Matrix.zero(float, self.dim, self.dim), ti.Vector.zero(float, self.dim), False
+        for k in range(self.walls.count):
+            if self.contact[i * self.walls.count + k].holds == 1:
+                n = self.walls.normal(i, k)
+                across = n - normals @ n
+                square = across.dot(across)
+                if square > LEAST_SQUARE:
+                    first = ti.select(normals.trace() > 0.0, first, n)
+                    normals += across.outer_product(across) / square
+                else:
+                    narrow = narrow or n.dot(first) < 0.0
+        self.normals[i] = ti.select(narrow, 0.0 * normals, normals)
+
+    @ti.func
+    def _with_targets(self, i, v):
+        """The velocity v with the target speeds of the surfaces of ball i along the directions in which they hold it."""
+        normals = ti.Matrix.zero(float, self.dim, self.dim)
         for k in range(self.walls.count):
             c = i * self.walls.count + k
             if self.contact[c].holds == 1:
@@ -88,11 +105,7 @@ class HeldBalls:
                 square = across.dot(across)
                 if square > LEAST_SQUARE:
                     v += (self.contact[c].target - n.dot(self.walls.relative(v, i, k))) / square * across
-                    first = ti.select(normals.trace() > 0.0, first, n)
                     normals += across.outer_product(across) / square
-                else:
-                    narrow = narrow or n.dot(first) < 0.0
-        self.normals[i] = ti.select(narrow, 0.0 * normals, normals)
         return v
 
     @ti.func
@@ -134,4 +147,4 @@ class HeldBalls:
         for c in range(first, first + self.walls.count):
             if self.contact[c].push == 0.0:
                 self.contact[c].holds = 0
-        self._collect(i, ti.Vector.zero(float, self.dim))
+        self._span(i)
