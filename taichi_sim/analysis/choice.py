@@ -17,10 +17,10 @@ LONGEST_STEP = 1e-3  # s, of Verlet
 CHEAP = 0.01  # s of work a simulated second, that nobody waits for
 WORTH = 1.25  # times faster than Verlet, from which an implicit method is worth the motion that it damps
 FEWEST_PASSES, PASSES_PER_RADIAN = (
-    3.0,
-    0.35,
+    6.0,
+    0.12,
 )  # of a stage; the angle is the step times the frequency of the fastest motion
-RIGID = 400.0  # rad: bodies that hardly deform need no more passes than at that angle
+RIGID = 200.0  # rad: levels carry what is faster across a body, so that it needs no more passes than at that angle
 SECOND_ORDER = 4.0  # times the work of implicit Euler: two stages of TR-BDF2, each solved thirty times finer
 
 

@@ -16,8 +16,8 @@ def level_set(
     """The surface on which `function`, negative inside, is zero: naive surface nets.
 
     A vertex lies in each cell of a lattice that the surface passes through, at the mean of where it cuts the cell's edges; a
-    square, as two triangles, crosses each edge of the lattice that is cut. The mesh is closed; where the surface comes nearer to
-    itself than two spacings it may touch itself along an edge.
+    square, as two triangles, crosses each edge of the lattice that is cut. The mesh is closed, and each edge has two triangles:
+    where two opposite corners of a square of the lattice alone are inside, one of the others, the nearest, is taken inside.
 
     Args:
         function: of places (..., 3) [m], gives (...).
@@ -31,7 +31,9 @@ def level_set(
         raise SceneError("level_set.high", b, "above low by two spacings at least")
     axes = [np.linspace(x, y, max(3, round((y - x) / step) + 1)) for x, y in zip(a, b)]
     lattice = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    value = np.asarray(function(lattice), dtype=np.float64)
+    value = np.array(function(lattice), dtype=np.float64)
+    while _join(value):
+        pass
     inside = value < 0
     if not inside.any():
         raise SceneError("level_set.function", says="is nowhere negative in the box; there is no surface")
@@ -56,6 +58,24 @@ def level_set(
     square = np.concatenate(squares)
     triangles = np.concatenate([square[:, [0, 1, 2]], square[:, [0, 2, 3]]])
     return Surface(total[mixed] / weight[mixed], triangles.astype(np.int32))
+
+
+def _join(value: NDArray) -> bool:
+    """Take inside, by turning its sign, the nearer of the outer corners of each square of which two opposite corners alone are
+    inside. Four squares of the mesh would meet in one edge there. False if there was none."""
+    found = False
+    for axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        v = value.transpose(axes)
+        four = np.stack([v[:-1, :-1], v[1:, :-1], v[1:, 1:], v[:-1, 1:]])
+        inside = four < 0
+        place = np.argwhere((inside[0] == inside[2]) & (inside[1] == inside[3]) & (inside[0] != inside[1]))
+        if len(place):
+            found = True
+            around = four[:, place[:, 0], place[:, 1], place[:, 2]]
+            step = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+            corner = place + step[np.argmin(np.where(around < 0, np.inf, around), axis=0)]
+            v[tuple(corner.T)] = -np.maximum(np.abs(v[tuple(corner.T)]), np.finfo(float).tiny)
+    return found
 
 
 def _squares(inside: NDArray, number: NDArray) -> NDArray:

@@ -32,6 +32,22 @@ def test_finer_lattices_come_nearer():
     assert errors[0] > 2 * errors[1] > 4 * errors[2]
 
 
+@pytest.mark.parametrize("spacing", [0.09, 0.083, 0.061])
+def test_no_edge_has_more_than_two_triangles(spacing):
+    """Though the lattice cuts two crossed tori in squares of which two opposite corners are inside."""
+
+    def tori(p):
+        (x, y, z), (u, v, w) = np.moveaxis(p, -1, 0), np.moveaxis(p[..., [1, 2, 0]] - (0.1, 0.2, 0.3), -1, 0)
+        ring = [np.hypot(np.hypot(a, b) - 0.7, c) - 0.17 for a, b, c in ((x, y, z), (u, v, w))]
+        return np.minimum(*ring)
+
+    surface = level_set(tori, (-1.3, -1.3, -1.3), (1.4, 1.4, 1.4), spacing)
+    t = surface.triangles
+    sides = np.sort(np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]]), axis=1)
+    assert np.all(np.unique(sides, axis=0, return_counts=True)[1] == 2)
+    assert np.abs(tori(surface.vertices)).max() < 0.6 * spacing  # rounded where they meet
+
+
 @pytest.mark.parametrize(
     ("low", "high", "spacing", "words"),
     [
