@@ -77,7 +77,7 @@ def choose(scene: Scene, demand: Demand, custom: Declared, unknown: bool = False
     if np.isinf(longest):
         return Choice(VERLET, None, "nothing that is stiff limits its step")
     if demand.step is None and np.isfinite(scene.break_strain).any():
-        return Choice(VERLET, None, "what tears is told by motion that long steps do not resolve")
+        return Choice(VERLET, None, "long steps do not resolve the pulls that tear springs")
     if demand.step is None:
         return _cheaper(scene, longest, demand, custom)
     if demand.step <= longest:

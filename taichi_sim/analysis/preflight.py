@@ -8,7 +8,8 @@ from taichi_sim.analysis import rebounds, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
-from taichi_sim.scene.membranes import MEMBRANES
+from taichi_sim.scene.bending import BENDING
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
@@ -72,14 +73,14 @@ def _of_tearing(scene: Scene, method: Method, h: float) -> Iterator[str]:
 
 
 def _time_of_what_tears(scene: Scene) -> float:
-    """The shortest 1 / omega [s] of a spring that may tear, or a membrane whose sides may, by its own stiffness and masses."""
+    """The shortest 1 / omega [s] of a spring that may tear, or an element whose sides may, by its own stiffness and masses.
+    Bending pulls at no side."""
     inverse = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
     tears = np.isfinite(scene.break_strain)
     rate = (scene.stiffness * inverse[scene.pairs].sum(axis=1))[tears].max()
-    sides = np.isin(scene.membranes, scene.pairs[tears]).all(axis=1)
-    for form in MEMBRANES.stiffness(scene) if sides.any() else ():
-        squares = (form.gradient**2).sum(axis=2) * inverse[form.corners]
-        rate = max(rate, (form.strength * squares.sum(axis=1))[sides].max())
+    for form in (form for one in ELEMENTS if one is not BENDING and one.acts(scene) for form in one.stiffness(scene)):
+        own = form.strength * ((form.gradient**2).sum(axis=2) * inverse[form.corners]).sum(axis=1)
+        rate = max(rate, own[np.isin(form.corners, scene.pairs[tears]).all(axis=1)].max(initial=0.0))
     return float(1.0 / np.sqrt(rate)) if rate > 0.0 else np.inf
 
 

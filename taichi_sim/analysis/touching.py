@@ -1,4 +1,4 @@
-"""What may touch and what overlaps, and words for it. In NumPy and slow: it is asked once."""
+"""Contacts that may be and overlaps, and words for them. In NumPy and slow: they are asked for once."""
 
 from collections.abc import Iterator
 

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -406,3 +407,17 @@ def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
     assert "falls with the order 2.00 of the spacing" in (tmp_path / "r" / "report.html").read_text()
     again = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, **NONE)
     assert again.budget == findings.budget
+    touching = [replace(mesh, overlap="both overlap at the start") for mesh in finer]
+    for k, (meshes, mesh, why) in enumerate(
+        [
+            (touching, None, "not known: with half of the spacing both overlap at the start"),
+            (
+                [finer[0], touching[1]],
+                0.06,
+                "order taken to be 1; with a quarter of the spacing both overlap at the start",
+            ),
+        ]
+    ):
+        found = report.main(scene, plan(resolutions=True), tmp_path / f"r{k}", meshes=meshes, **NONE).budget
+        assert found.mesh == (None if mesh is None else pytest.approx(mesh, rel=1e-3))
+        assert found.why.endswith(why)
