@@ -6,8 +6,10 @@ import numpy as np
 
 from taichi_sim.analysis import rebounds, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
-from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2
+from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
+from taichi_sim.scene.bending import BENDING
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
@@ -16,6 +18,7 @@ __all__ = ["cautions"]
 FASTEST = 4.0  # radii that a pin may move in a substep
 MOST_TURNED = 0.5  # of its angular momentum, that a method may take from a body in a second
 MOST_RETURNED = 0.225  # of the speed of an impact without restitution: by sweeps, of masses 1:27
+RESOLVED = 0.5  # of the time in which a spring answers a pull: in longer steps others tear, or none
 MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 
@@ -40,6 +43,7 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
             yield f"rebound: {rebounds.sentence(part)}; {rebounds.cure(scene)}"
     yield from _of_pins(scene, h)
     yield from _of_motors(scene, h)
+    yield from _of_tearing(scene, method, h)
     if (turn := turning.at_start(scene, method, h)) is not None:
         if turn.rate(method, h) > MOST_TURNED:
             yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
@@ -54,6 +58,30 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
             f" {sinking.depth:.2g} m too long by the two passes of a step of {h:.3g} s, and others of its body by up to tens of"
             f" times that; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {step:.2g} s"
         )
+
+
+def _of_tearing(scene: Scene, method: Method, h: float) -> Iterator[str]:
+    """Of methods whose steps springs do not limit."""
+    if method.limit is None or method.limit.by_springs or not np.isfinite(scene.break_strain).any():
+        return
+    answer = _time_of_what_tears(scene)
+    if h > RESOLVED * answer:
+        yield (
+            f"tearing: springs that may tear answer to a pull within {answer:.2g} s, which steps of {h:.3g} s by {method} do not"
+            f" resolve: others may tear, or none; take {VERLET}, or steps of {RESOLVED * answer:.2g} s"
+        )
+
+
+def _time_of_what_tears(scene: Scene) -> float:
+    """The shortest 1 / omega [s] of a spring that may tear, or an element whose sides may, by its own stiffness and masses.
+    Bending pulls at no side."""
+    inverse = np.where(scene.pinned, 0.0, 1.0 / scene.mass)
+    tears = np.isfinite(scene.break_strain)
+    rate = (scene.stiffness * inverse[scene.pairs].sum(axis=1))[tears].max()
+    for form in (form for one in ELEMENTS if one is not BENDING and one.acts(scene) for form in one.stiffness(scene)):
+        own = form.strength * ((form.gradient**2).sum(axis=2) * inverse[form.corners]).sum(axis=1)
+        rate = max(rate, own[np.isin(form.corners, scene.pairs[tears]).all(axis=1)].max(initial=0.0))
+    return float(1.0 / np.sqrt(rate)) if rate > 0.0 else np.inf
 
 
 def _of_motors(scene: Scene, h: float) -> Iterator[str]:

@@ -1,14 +1,15 @@
-"""Words for what a ball lies in, for warnings. In NumPy and slow: it is asked once."""
+"""Contacts that may be and overlaps, and words for them. In NumPy and slow: they are asked for once."""
 
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["overlap", "overlap_at_start"]
+__all__ = ["further_overlap", "may_collide", "may_touch", "overlap", "overlap_at_start"]
 
 ALIKE = 0.02  # of an overlap: kernels find it in single precision
 
@@ -51,3 +52,66 @@ def _touched(scene: Scene, position: NDArray, time: float, ball: int) -> Iterato
         deep[ball] = -np.inf
         for k in np.flatnonzero(deep > 0.0).tolist():
             yield float(deep[k]), ball_in_words(scene.objects, k)
+
+
+def further_overlap(scene: Scene, finer: Scene) -> str:
+    """Words on the deepest overlap at the start of a scene with finer meshes, of things that overlap less in the given one;
+    empty where there is none, and without contacts."""
+    if scene.settings.get("contacts") == "off":
+        return ""
+    before, now = _overlaps(scene), _overlaps(finer)
+    further = [(deep - before.get(both, (0.0,))[0], words) for both, (deep, words) in now.items()]
+    most, words = max(further, default=(0.0, ""))
+    return f"{words} overlap at the start" if most > ALIKE else ""
+
+
+def _overlaps(scene: Scene) -> dict[tuple[int, int], tuple[float, str]]:
+    """The deepest overlap of balls at the start, as a part of the smaller radius, of every two objects whose contacts act, and
+    the balls in words; objects by their numbers, -1: balls of none."""
+    part_of = np.full(scene.n_balls, -1)
+    for k, one in enumerate(scene.objects):
+        part_of[one.balls] = k
+    found: dict[tuple[int, int], tuple[float, str]] = {}
+    for i, j, deep in _overlapping(scene):
+        both = min(part_of[i], part_of[j]), max(part_of[i], part_of[j])
+        if deep > found.get(both, (0.0,))[0]:
+            found[both] = deep, " and ".join(ball_in_words(scene.objects, k) for k in sorted((i, j)))
+    return found
+
+
+def _overlapping(scene: Scene) -> Iterator[tuple[int, int, float]]:
+    """Pairs of balls that overlap at the start and that contacts part, and by how much of the smaller radius."""
+    from scipy.spatial import cKDTree  # slow to import
+
+    x, r = scene.position, scene.radius
+    joins = np.concatenate([scene.pairs, unique_edges(scene.membranes)]).astype(np.int64)
+    joined = np.unique(joins.min(axis=1) * scene.n_balls + joins.max(axis=1))
+    near = cKDTree(x).query_ball_point(x, 2.0 * r, return_sorted=False)  # of each pair the larger finds the other
+    for i, found in enumerate(near):
+        j = np.array(found)
+        j = j[(r[j] < r[i]) | ((r[j] == r[i]) & (j > i))]
+        j = j[~(scene.pinned[i] & scene.pinned[j]) & ((scene.body[i] == 0) | (scene.body[i] != scene.body[j]))]
+        j = j[((scene.group[i] & scene.mask[j]) != 0) & ((scene.group[j] & scene.mask[i]) != 0)]
+        j = j[~np.isin(np.minimum(i, j) * scene.n_balls + np.maximum(i, j), joined)]
+        deep = (r[i] + r[j] - np.linalg.norm(x[j] - x[i], axis=1)) / r[j]
+        yield from ((i, int(ball), float(part)) for ball, part in zip(j, deep) if part > 0.0)
+
+
+def may_collide(scene: Scene) -> bool:
+    """True if any two balls may touch: not both pinned, not of one body, not joined by a spring."""
+    n = scene.n_balls
+    total = n * (n - 1) // 2
+    pinned = int(scene.pinned.sum())
+    bodies = np.bincount(scene.body[scene.body > 0]).astype(np.int64)
+    both = np.bincount(scene.body[(scene.body > 0) & scene.pinned]).astype(np.int64)  # pinned and of one body: once
+    total -= pinned * (pinned - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
+    pairs = np.unique(np.sort(scene.pairs, axis=1), axis=0)
+    i, j = pairs[:, 0], pairs[:, 1]
+    apart = (scene.body[i] == 0) | (scene.body[i] != scene.body[j])
+    total -= int(np.sum(apart & ~(scene.pinned[i] & scene.pinned[j])))
+    return total > 0
+
+
+def may_touch(scene: Scene) -> bool:
+    """True if anything may touch: balls each other, or a wall, a collider, a stick or a surface."""
+    return bool(scene.walls or scene.colliders or scene.solid.any() or scene.collides.any()) or may_collide(scene)

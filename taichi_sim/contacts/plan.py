@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from taichi_sim.analysis.touching import may_collide
 from taichi_sim.contacts.grid import SKIN
 from taichi_sim.scene.scene import Scene, max_restitution, used_materials
 
@@ -214,18 +215,3 @@ def slowest_bounce(scene: Scene, h: float) -> float:
     """The approach speed below which nothing bounces [m/s]: twice what gravity adds in a substep of h seconds; without gravity
     everything does."""
     return 2.0 * float(np.linalg.norm(scene.gravity)) * h
-
-
-def may_collide(scene: Scene) -> bool:
-    """True if any two balls may touch: not both pinned, not of one body, not joined by a spring."""
-    n = scene.n_balls
-    total = n * (n - 1) // 2
-    pinned = int(scene.pinned.sum())
-    bodies = np.bincount(scene.body[scene.body > 0]).astype(np.int64)
-    both = np.bincount(scene.body[(scene.body > 0) & scene.pinned]).astype(np.int64)  # pinned and of one body: once
-    total -= pinned * (pinned - 1) // 2 + int(np.sum(bodies * (bodies - 1) // 2) - np.sum(both * (both - 1) // 2))
-    pairs = np.unique(np.sort(scene.pairs, axis=1), axis=0)
-    i, j = pairs[:, 0], pairs[:, 1]
-    apart = (scene.body[i] == 0) | (scene.body[i] != scene.body[j])
-    total -= int(np.sum(apart & ~(scene.pinned[i] & scene.pinned[j])))
-    return total > 0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.rebounds import AT_ONCE, IN_SWEEPS, IN_TURN
+from taichi_sim.analysis.touching import may_collide
 from taichi_sim.common import memory
 from taichi_sim.common.errors import SceneError
 from taichi_sim.contacts import CONTACT_RULES, ContactRule
@@ -17,7 +18,7 @@ from taichi_sim.contacts.found_contacts import ContactParts
 from taichi_sim.contacts.grid import Grid
 from taichi_sim.contacts.impulse_totals import Received
 from taichi_sim.contacts.pairs import LISTED_GAP, Pairs
-from taichi_sim.contacts.plan import may_collide, plan_contacts, slowest_bounce
+from taichi_sim.contacts.plan import plan_contacts, slowest_bounce
 from taichi_sim.contacts.statistics import ContactStatistics
 from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.triangles import TriangleContacts

@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,17 +128,18 @@ def test_richardson():
     """Values a + b h^p at h, h/2, h/4: the error at h is b h^p."""
     for order in (1.0, 2.0):
         values = [5.0 + 0.3 * h**order for h in (1.0, 0.5, 0.25)]
-        error, found, why = budget.mesh_error(np.abs(np.diff(values)).tolist())
+        error, found, why = budget.mesh_error(np.abs(np.diff(values)).tolist(), "N")
         assert (error, found, why) == (pytest.approx(0.3), pytest.approx(order), "")
-    error, order, why = budget.mesh_error([0.1, 0.2])
+    error, order, why = budget.mesh_error([0.1, 0.2], "N")
     assert error is None
     assert order == pytest.approx(-1.0)
-    assert "not known, at least 0.1" in why
-    error, order, why = budget.mesh_error([1.3, 0.004])  # by chance
+    assert "not known, at least 100 mN" in why
+    assert why.endswith("100 mN and 200 mN")
+    error, order, why = budget.mesh_error([1.3, 0.004], "m")  # by chance
     assert error is None
     assert order > 8.0
     assert "no mesh converges so fast" in why
-    assert budget.mesh_error([0.1])[0] == pytest.approx(0.2)  # of first order, with two meshes alone
+    assert budget.mesh_error([0.1], "m")[0] == pytest.approx(0.2)  # of first order, with two meshes alone
 
 
 SHEET = """format = 1
@@ -241,11 +243,39 @@ def test_a_finer_rope_is_the_same_rope(tmp_path):
         assert fine.mass.sum() == pytest.approx(1.2)
         assert np.flatnonzero(fine.pinned).tolist() == [0, balls - 1]
         assert 1.0 / (1.0 / fine.stiffness).sum() == pytest.approx(400.0 / 2.0)
-        assert (fine.radius == coarse.radius[0]).all()
+        assert fine.radius == pytest.approx(coarse.radius[0] * 4 / (balls - 1))  # balls do not overlap
         assert fine.probes[0].given["balls"].tolist() == [balls // 2]
     file.write_text(CABLE.replace("EA = 400.0", "stiffness = 300.0"))
     with pytest.raises(SceneError, match=r"rope\[0\]\.stiffness: is of each piece"):
         resolution.finer(file)
+
+
+LOADED = """[[balls]]
+name = "load"
+position = [[2.2, 0.0]]
+radius = 0.15
+[[attachments]]
+one = "cable"
+one_members = [4]
+other = "load"
+stiffness = 900.0
+"""
+
+
+@pytest.mark.parametrize(
+    ("radius", "told"),
+    [
+        ("", ["", ""]),  # which shrinks with the spacing
+        ("radius = 0.2", ["", "ball 0 (number 0 of load) and ball 16 (number 15 of cable) overlap at the start"]),
+    ],
+)
+def test_finer_scenes_say_what_touches_that_did_not(tmp_path, radius, told):
+    """Contacts would push the load from the balls of the cable beside the one that it hangs on."""
+    file = tmp_path / "s.toml"
+    file.write_text(CABLE.replace("n = 5", f"n = 5\n{radius}") + LOADED)
+    assert [finer.overlap for finer in resolution.finer(file)] == told
+    file.write_text(file.read_text() + "[simulation]\ncontacts = 'off'\n")
+    assert [finer.overlap for finer in resolution.finer(file)] == ["", ""]
 
 
 def test_the_tension_of_a_rope_goes_with_its_mesh(tmp_path):
@@ -377,3 +407,17 @@ def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
     assert "falls with the order 2.00 of the spacing" in (tmp_path / "r" / "report.html").read_text()
     again = report.main(scene, plan(resolutions=True), tmp_path / "r", meshes=finer, **NONE)
     assert again.budget == findings.budget
+    touching = [replace(mesh, overlap="both overlap at the start") for mesh in finer]
+    for k, (meshes, mesh, why) in enumerate(
+        [
+            (touching, None, "not known: with half of the spacing both overlap at the start"),
+            (
+                [finer[0], touching[1]],
+                0.06,
+                "order taken to be 1; with a quarter of the spacing both overlap at the start",
+            ),
+        ]
+    ):
+        found = report.main(scene, plan(resolutions=True), tmp_path / f"r{k}", meshes=meshes, **NONE).budget
+        assert found.mesh == (None if mesh is None else pytest.approx(mesh, rel=1e-3))
+        assert found.why.endswith(why)

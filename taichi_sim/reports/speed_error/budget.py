@@ -109,8 +109,8 @@ def _reached(outcome: Outcome) -> bool:
     return not outcome.left_out and not outcome.unstable and len(outcome.position) == PARTS
 
 
-def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None, str]:
-    """Error of the coarsest mesh, the order observed, and why one of them is not known.
+def mesh_error(differences: Sequence[float], unit: str) -> tuple[float | None, float | None, str]:
+    """Error of the coarsest mesh, the order observed, and why one of them is not known. differences: in `unit`.
 
     Where the error is C h^p, the differences between h, h/2 and h/4 are in the ratio 2^p. With one difference the order is
     taken to be 1.
@@ -121,16 +121,13 @@ def mesh_error(differences: Sequence[float]) -> tuple[float | None, float | None
     if first == 0.0 or differences[1] == 0.0:
         return first, None, "the meshes give the same"
     order = math.log2(first / differences[1])
-    if order < LEAST_ORDER:
-        why = (
-            f"not known, at least {first:.2g}: it does not fall yet with the spacing; the differences between h, h/2 and h/4"
-            f" are {first:.2g} and {differences[1]:.2g}"
-        )
-        return None, order, why
+    if LEAST_ORDER <= order <= HIGHEST_ORDER:
+        return error_from(first, order), order, ""
+    one, other = (measured(difference, unit=unit) for difference in differences)
+    why = "it does not fall yet with the spacing"
     if order > HIGHEST_ORDER:
-        why = (
-            f"not known, at least {first:.2g}: the differences between h, h/2 and h/4 are {first:.2g} and {differences[1]:.2g},"
-            " and no mesh converges so fast; use finer meshes"
-        )
-        return None, order, why
-    return error_from(first, order), order, ""
+        why = "no mesh converges so fast, use finer ones"
+    return (
+        *(None, order),
+        f"not known, at least {one}: {why}; the differences between h, h/2 and h/4 are {one} and {other}",
+    )

@@ -98,6 +98,8 @@ def _with_mesh(trials: Trials, reference: Reference, budget: Budget, meshes: Seq
     plan, before = trials.plan, reference
     differences: list[float] = []
     for mesh in meshes:
+        if mesh.overlap:
+            break
         step = fitting(plan.duration, own_step(mesh.scene, reference.method)[1])
         with TrialProcesses(mesh.scene, plan, progress) as processes:
             finer = Trials(mesh.scene, plan, processes)
@@ -110,7 +112,12 @@ def _with_mesh(trials: Trials, reference: Reference, budget: Budget, meshes: Seq
         outcome = outcome._replace(position=[x[mesh.balls] for x in outcome.position])
         differences.append(worst(trials.compared.errors(before, outcome)[: reference.parts]))
         before = outcome  # type: ignore[assignment]
-    error, order, why = budgets.mesh_error(differences)
+    overlaps = [mesh.overlap for mesh in meshes if mesh.overlap]
+    if not differences:
+        return replace(budget, why=f"not known: with half of the spacing {overlaps[0]}")
+    error, order, why = budgets.mesh_error(differences, budget.unit)
+    if overlaps:
+        why += f"; with a quarter of the spacing {overlaps[0]}"
     return replace(budget, mesh=error, order=order, why=why)
 
 

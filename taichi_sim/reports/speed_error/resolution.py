@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.coarse_meshes import ropes
+from taichi_sim.analysis.touching import further_overlap
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.parameters import put
 from taichi_sim.files.toml_reader import Reader
@@ -22,7 +23,6 @@ from taichi_sim.files.toml_schema import SHAPES
 from taichi_sim.reports.speed_error.command import settled_scene
 from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
-from taichi_sim.shapes.ropes import FIRMNESS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -54,16 +54,19 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Finer:
-    """A scene with a finer mesh; balls: (n,) where each of the coarse one's balls is in it."""
+    """A scene with a finer mesh; balls: (n,) where each of the coarse one's balls is in it; overlap: words on what touches in
+    it at the start, but not in the coarse one, so that it is another scene, else empty."""
 
     scene: Scene
     balls: Ints
+    overlap: str = ""
 
 
 def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None = None) -> list[Finer]:
     """The scene of a file, with other values by their paths, with 1/2, 1/4, ... of its spacing. Raises SceneError where nothing,
     or not all, can be refined."""
     document = _document(file, parameters)
+    given = _read(file, document)[0]
     found: list[Finer] = []
     balls: Ints | None = None
     for _ in range(levels):
@@ -71,7 +74,8 @@ def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None
         document = level.refined()
         scene = _read(file, document)[0]
         balls = level.everywhere if balls is None else level.everywhere[balls]
-        found.append(Finer(settled_scene(scene) if scene.settings.get("settle") else scene, balls))
+        overlap = further_overlap(given, scene)
+        found.append(Finer(settled_scene(scene) if scene.settings.get("settle") else scene, balls, overlap))
     return found
 
 
@@ -117,7 +121,7 @@ class _Level:
         for kind, k in tables:
             named[kind][k].setdefault("name", f"{kind}[{k}]")
         self.coarse, groups = _read(file, named)
-        parts, first, first_ball, refined = [], 0, 0, 0
+        parts, first, refined = [], 0, 0
         for kind, k in tables:
             table = self.document[kind][k]
             number = len(groups[named[kind][k]["name"]])
@@ -128,7 +132,6 @@ class _Level:
             if grid is not None:
                 if kind == "rope":
                     table["n"] = 2 * grid[0] - 1
-                    self._keep_rope(table, slice(first_ball, first_ball + number))
                 else:
                     table["resolution"] = [2 * n - 1 for n in grid]
                 if isinstance(table.get("pinned"), list) and all(type(ball) is int for ball in table["pinned"]):
@@ -136,23 +139,12 @@ class _Level:
                 if kind == "jelly" and "damping" in table and self.coarse.dim == 3:
                     table["damping"] /= 2.0  # of springs that are half as stiff
             parts.append(first + inside)
-            first_ball += number
             first += number if grid is None else int(np.prod([2 * n - 1 for n in grid]))
         if not refined:
             raise SceneError(
                 f"--resolutions: {file}: has nothing to refine: a rope, or a cloth or jelly of a material with a resolution"
             )
         self.everywhere = np.concatenate(parts)
-
-    def _keep_rope(self, table: dict[str, Any], balls: slice) -> None:
-        """Give a rope whose radius follows from n that of the coarse one, and its mass and EA: with a radius, those of a preset
-        would go before the usual ones."""
-        if "radius" in table:
-            return
-        table["radius"] = float(self.coarse.radius[balls][0])
-        if "mass_per_length" not in table:
-            table.setdefault("mass", float(self.coarse.mass[balls].sum()))
-        table.setdefault("EA", FIRMNESS * float(self.coarse.mass[balls].sum()))
 
     def _grid(self, kind: str, k: int, table: dict[str, Any], number: int) -> tuple[int, ...]:
         """Balls along each axis. Raises SceneError for springs that are no material, which another mesh makes another body."""
