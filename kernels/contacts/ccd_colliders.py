@@ -56,7 +56,7 @@ def meeting(
                 d, n = walls.collider_contacts.slot[slot].gap + r, walls.collider_contacts.slot[slot].normal
             else:
                 p = local(colliders, k, at, since + t)
-                d, n, within = distance(colliders, k, p, r, walls.collider_contacts.is_at_seam(i))
+                d, n, within = distance(colliders, k, p, r, walls.collider_contacts.needs_exact(i))
                 if ti.static(colliders.has_faces):
                     if face != WHOLE:
                         d, n = face_distance(colliders, k, face, p, d, n, True)

@@ -126,7 +126,7 @@ def surface(walls: ti.template(), i, key, x, after):
     """Direction from a collider, or a face of it, see ccd_colliders.first_collider, to ball i at x that touches it `after`
     seconds into the step, and its velocity there."""
     k = key // walls.colliders.faces
-    touch, exact = walls.model.radius[i], walls.collider_contacts.is_at_seam(i)
+    touch, exact = walls.model.radius[i], walls.collider_contacts.needs_exact(i)
     d, n, _ = walls.colliders.distance(k, key % walls.colliders.faces, x, after, touch, exact)
     return n, surface_velocity(walls.colliders, k, x - d * n, after)
 

@@ -1,15 +1,16 @@
 """Search for the colliders that a ball is at, from its present place; each is kept in a slot of the ball."""
 
 from taichi_sim.kernels.contacts import colliders as geometry
-from taichi_sim.kernels.contacts.kinds import BOX
+from taichi_sim.kernels.contacts.kinds import BOX, MESH
 
 from taichi_sim.device.engine import ti
 
 FAR_GAP = 1e30  # m, the gap of an empty slot
 EMPTY = -1  # its key
-FORESEEN_STEPS = (
-    2.0  # as far as a ball comes in so many at its speed, where implicit stages ask for what they will meet
-)
+# as far as a ball comes in so many steps at its speed, where implicit stages ask for what they will meet
+FORESEEN_STEPS = 2.0
+AHEAD = 2.0  # steps: where a ball would be then tells whether it closes
+FELL = 0.1  # of a cell: what falls no further closes no faster than what edges are rounded by explains
 
 
 @ti.func
@@ -25,9 +26,9 @@ def find(walls: ti.template(), x, v, i, crowded, h):
     if walls.model.inverse_mass[i] > 0.0:
         r = walls.model.radius[i]
         exact = False
-        if ti.static(at.has_seams):
-            exact = is_at_seam(walls, x, v, i, h)
-            at.at_seam[i] = exact
+        if ti.static(walls.colliders.has_mesh):
+            exact = is_at_seam_or_strikes(walls, x, v, i, h)
+            at.exact[i] = exact
         for k in range(walls.colliders.count):
             reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
             if ti.static(walls.foresees):
@@ -56,21 +57,45 @@ def find(walls: ti.template(), x, v, i, crowded, h):
 
 
 @ti.func
-def is_at_seam(walls: ti.template(), x, v, i, h):
+def is_at_seam_or_strikes(walls: ti.template(), x, v, i, h):
     """True if ball i at x may come within h seconds, at its velocity v from them, so near to two surfaces that what their edges
-    are rounded by, where a mesh keeps distances on a grid, decides which of them it is on."""
-    number = 0
+    are rounded by, where a mesh keeps distances on a grid, decides which of them it is on, or hit a mesh."""
+    number, strikes = 0, False
     r, rounded = walls.model.radius[i], geometry.ROUNDED * walls.colliders.widest_cell
+    slowest = slowest_strike(walls, h)
     for k in range(walls.planes.count):
         if walls.planes.gap(x, i, k) < rounded + h * v.norm():
             number += 1
     for k in range(walls.colliders.count):
-        way = h * (v - geometry.surface_velocity(walls.colliders, k, x, 0.0)).norm()
-        if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + rounded + way):
-            d, _, _ = walls.colliders.distance(k, 0, x, 0.0, r, False)
-            if d < r + rounded + way:
+        u = v - geometry.surface_velocity(walls.colliders, k, x, 0.0)
+        way = h * u.norm()
+        looks = ti.select(walls.colliders.shape[k].kind == MESH and way > h * slowest, 2, 1)
+        reach = r + rounded + way
+        if (
+            (looks == 2 or ti.static(walls.collider_contacts.has_seams))
+            and walls.colliders.collides_with(walls.model, i, k)
+            and geometry.near(walls.colliders, k, x, reach)
+        ):
+            here, closes = reach, AHEAD * way > r
+            for look in range(looks):
+                if look == 0 or (here < reach and not closes):
+                    d, n, _ = walls.colliders.distance(k, 0, x + look * AHEAD * h * u, 0.0, r, False)
+                    if look == 0:
+                        here, closes = d, closes or n.dot(u) < -slowest
+                    else:
+                        closes = here - d > h * slowest
+            if here < reach:
                 number += 1
-    return number > 1
+                strikes = strikes or (looks == 2 and closes)
+    return strikes or number > 1
+
+
+@ti.func
+def slowest_strike(walls: ti.template(), h):
+    """Speed [m/s] from which a ball hits a mesh: what bounces, and does not just fall by what edges are rounded by. Below it the
+    ball keeps to one surface while it comes to rest."""
+    u = walls.threshold[0]
+    return ti.sqrt(u * (u + FELL * walls.colliders.widest_cell / h))
 
 
 @ti.func

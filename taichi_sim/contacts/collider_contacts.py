@@ -32,16 +32,16 @@ class ColliderContacts:
             columns["velocity"] = vector  # m/s, of the surface, along the chord of the step to come
         self.slot = fields.table(columns, model.n * self.count)
         self.filled = fields.integers(model.n)  # slots in use
-        self.has_seams = colliders.has_mesh and colliders.count + planes > 1
-        if self.has_seams:
-            self.at_seam = fields.integers(model.n)  # 1 where distances from meshes are exact, see nearby_colliders
+        self.has_seams = colliders.count + planes > 1
+        if colliders.has_mesh:
+            self.exact = fields.integers(model.n)  # 1 where distances from meshes are exact, see nearby_colliders
 
     @ti.func
-    def is_at_seam(self, i):
-        """True if ball i is so near to several surfaces that distances from meshes have to be exact."""
+    def needs_exact(self, i):
+        """True if ball i is at a seam, or may hit a mesh in this step, so that distances from meshes have to be exact."""
         yes = False
-        if ti.static(self.has_seams):
-            yes = self.at_seam[i] == 1
+        if ti.static(self.colliders.has_mesh):
+            yes = self.exact[i] == 1
         return yes
 
     @ti.func
@@ -101,7 +101,7 @@ class ColliderContacts:
         while k < self.colliders.count:  # it first; where it ends or falls away, all that may go on in its place
             if not others or self._goes_on(i, k, after, most):
                 face = ti.select(others, 0, slot.key % self.faces)
-                d, _, _ = self.colliders.distance(k, face, after, h, r, self.is_at_seam(i))
+                d, _, _ = self.colliders.distance(k, face, after, h, r, self.needs_exact(i))
                 here = d - r - slot.gap
                 fall = ti.max(0.0, ti.min(fall, here)) if others else here
             if others:

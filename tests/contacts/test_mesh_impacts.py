@@ -1,0 +1,66 @@
+"""Balls of any size that hit edges and corners of meshes: direction, place and energy after the impact in closed form."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate
+
+import taichi_sim as ts
+
+H, SPEED = 1 / 300, 6.0
+SIZE = np.array([0.8, 1.2, 1.0])  # m
+FAR = 5.0  # m between meshes
+STEPS = 70
+
+
+def block():
+    """Vertices (8, 3) and triangles (12, 3) of a block about the origin."""
+    points = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * SIZE
+    four = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return points, np.array([t for a, b, c, d in four for t in ((a, b, c), (a, c, d))])
+
+
+def strikes():
+    """Radius (n), direction to the centre at impact (n, 3) and nearest point of a block (n, 3): at its edge, then its corner."""
+    radius, part = (q.ravel() for q in np.meshgrid([0.05, 0.1, 0.3], np.linspace(0.08, 0.85, 6), indexing="ij"))
+    along = np.linspace(-0.3, 0.3, len(part))
+    turn = np.linspace(0.2, 1.3, len(part))
+    edge = np.stack([part, np.sqrt(1 - part**2), 0 * part], axis=1)
+    corner = np.stack([part * np.cos(turn), np.sqrt(1 - part**2), part * np.sin(turn)], axis=1)
+    at_edge = SIZE / 2 * np.stack([1 + 0 * along, 1 + 0 * along, 2 * along], axis=1)
+    at_corner = SIZE / 2 * np.ones((len(part), 3))
+    return np.tile(radius, 2), np.concatenate([edge, corner]), np.concatenate([at_edge, at_corner])
+
+
+@pytest.mark.slow
+def test_impacts_at_edges_and_corners_have_the_direction_from_the_nearest_point():
+    """Blocks of two resolutions: cells of 1/8 to 24 of a radius. One of each moves."""
+    scene = ts.Scene(dim=3)
+    scene.add_material("elastic", restitution=1.0)
+    radius, n, point = strikes()
+    balls, own = [], []
+    for k, (resolution, moves) in enumerate([(16, 0.0), (64, 0.0), (16, 1.3), (64, 1.3)]):
+        place, velocity = np.array([FAR * k, 0.0, 0.0]), np.array([0.4, 1.0, -0.7]) * moves
+        scene.add_collider(
+            ts.Mesh(
+                block(), position=place, velocity=velocity, resolution=resolution, material="elastic", group=f"m{k}"
+            )
+        )
+        time = 0.1 + 0.07 * np.sin(7.0 * np.arange(len(n)))  # of the impact
+        down = velocity - [0.0, SPEED, 0.0]
+        x = place + point + radius[:, None] * n + time[:, None] * (velocity - down)
+        balls.append(
+            scene.add_balls(x, radius=radius, velocity=down, material="elastic", group=f"b{k}", collides_with=[f"m{k}"])
+        )
+        own.append((place, velocity, time))
+    with simulate(scene, dt=H, spin=False) as sim:
+        sim.step(STEPS)
+        position, speed = sim.position, sim.velocity
+    end, fall = STEPS * H, np.array([0.0, -SPEED, 0.0])
+    for b, (place, velocity, time) in zip(balls, own):
+        after = fall - 2 * (n @ fall)[:, None] * n
+        found = speed[b] - velocity
+        angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(found, after), axis=1), np.sum(found * after, axis=1)))
+        expected = place + point + radius[:, None] * n + (end - time)[:, None] * after + end * velocity
+        assert angle.max() < (1e-5 if F64 else 0.01)
+        assert np.abs(np.linalg.norm(found, axis=1) / SPEED - 1).max() < (1e-12 if F64 else 1e-5)
+        assert np.abs(position[b] - expected).max() < (1e-6 if F64 else 1e-4)
