@@ -26,7 +26,8 @@ class Gltf(SceneFilm):
     in a node of its own. Colours and images of looks are materials, vertices have normals and, on a texture, places.
 
     Meshes have at most MOST_SHAPES shapes and MOST_BYTES together: where there are more frames, shapes of some of them, evenly
-    spread, with a warning; between two of them points move straight. So have nodes that move, up to MOST_MOTION_BYTES. Frames wait in the log beside the file until it is complete.
+    spread, with a warning; between two of them points move straight. Places of nodes take at most
+    MOST_MOTION_BYTES, likewise. Frames wait in the log beside the file until it is complete.
     resume: go on where a run into the same name was cut off.
     """
 

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.common import validation
 from taichi_sim.render.palette import to_linear
+from taichi_sim.scene.camera_path import MOST_APERTURE
 
 __all__ = ["EXPOSURES", "Exposure", "Mean"]
 
+MOST_SHUTTER = 1e4  # s, of a scene with the fewest frames a second that films have
 EXPOSURES, MOST_EXPOSURES = 16, 256  # pictures in the mean of one
 GOLDEN = math.pi * (3 - 5**0.5)  # angle [rad] between a point and the next one of a disc that is filled evenly
 LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
@@ -30,8 +32,8 @@ class Exposure:
     exposures: int = EXPOSURES
 
     def __post_init__(self) -> None:
-        validation.number("shutter", self.shutter, low=0)
-        validation.number("aperture", self.aperture, low=0)
+        validation.number("shutter", self.shutter, low=0, high=MOST_SHUTTER)
+        validation.number("aperture", self.aperture, low=0, high=MOST_APERTURE)
         validation.whole("exposures", self.exposures, 1, MOST_EXPOSURES)
 
     @property

@@ -64,7 +64,7 @@ class Look:
             if key not in known:
                 raise unknown_key((where, key), known, "a key of a look")
         if "of" not in given:
-            raise SceneError((where, "of"), says="is missing; give the name of a shape or of a collider")
+            raise SceneError(f"{where}.of", says="is missing; give the name of a shape or of a collider")
         look = cls(**given)
         names = sorted({*shapes, *colliders})
         if look.of not in names:

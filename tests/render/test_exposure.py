@@ -91,7 +91,14 @@ def test_the_mean_of_pictures_is_that_of_their_light():
 
 @pytest.mark.parametrize(
     ("given", "says"),
-    [({"shutter": -1.0}, "shutter"), ({"aperture": float("nan")}, "aperture"), ({"exposures": 0}, "exposures")],
+    [
+        ({"shutter": -1.0}, "shutter"),
+        ({"shutter": 1e5}, "shutter"),
+        ({"aperture": 1e4}, "aperture"),
+        ({"aperture": 0.1}, "aperture: 0.1 is for scenes in 3D; in 2D all is as far away"),
+        ({"aperture": float("nan")}, "aperture"),
+        ({"exposures": 0}, "exposures"),
+    ],
 )
 def test_refused(given, says):
     with pytest.raises(SceneError, match=says):
