@@ -81,7 +81,7 @@ class Companion:
         self._readings.append((frame.time, dict(frame.probes)))
 
     def compare(
-        self, simulation: Any, advance: Callable[[int, float], None], begin: Callable[[str], None] = str
+        self, simulation: Any, advance: Callable[[int, float], None], begin: Callable[[str], object] = str
     ) -> StepError:
         """Run again and compare at the frames' times. simulation: the first run at its end; advance takes the number of frames
         done and the simulated seconds; begin gets, before each run, its frames in words."""

@@ -247,6 +247,8 @@ class Summary:
         if found.why:
             yield f"{'uncertainty':12} not known: {by} failed: {found.why}"
             return
+        if self.left_out:
+            yield not_included(self.left_out)
         known = ""
         if not np.isnan(found.rms):
             rms, largest = measures([found.rms, found.largest], [None, None], "m")
@@ -259,8 +261,6 @@ class Summary:
             )
         if found.hidden:
             yield f"{'':12} not known of the extremes of probes: {found.hidden}"
-        if self.left_out:
-            yield not_included(self.left_out)
 
 
 def _shown(video: Path) -> str:

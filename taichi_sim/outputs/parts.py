@@ -128,11 +128,14 @@ class Parts:
             k = int(self.number[one.corners[0, 0]])
             tint = np.einsum("vk,vki->vi", one.weights, self.colour[one.corners])
             tint = np.clip(tint if one.colour is None else np.tile(one.colour, (len(tint), 1)), 0.0, 1.0)
-            at, faces, uv, smooth = np.arange(len(tint)), one.triangles, None, np.arange(len(tint))
-            if one.uv is not None:
-                at, faces, uv, smooth = _at_seams(one.triangles, one.uv)
-            shown = one.corners[at], one.weights[at], faces, tint[at], uv, smooth
-            self.surfaces.append(Surface(k, self.names[k], *shown))
+            if one.uv is None:
+                shown = Surface(
+                    k, self.names[k], one.corners, one.weights, one.triangles, tint, None, np.arange(len(tint))
+                )
+            else:
+                at, faces, places, smooth = _at_seams(one.triangles, one.uv)
+                shown = Surface(k, self.names[k], one.corners[at], one.weights[at], faces, tint[at], places, smooth)
+            self.surfaces.append(shown)
         for name in textured:
             self._project(name, in_3d(first.position))
         self.bodies = _bodies(first, self.names)

@@ -99,6 +99,8 @@ def made(
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
     meshed = bool(trials.scene.n_springs or trials.scene.n_volumes())
     precision = trials.scene.settings.get("precision") or "f32"
+    if "f32" not in trials.plan.precisions:  # nothing runs in it
+        precision = "f64"
     return Budget(
         *(compared.sampled(name, parts), compared.unit, value, method, step.seconds, off),
         single=rounded,
