@@ -172,7 +172,7 @@ def test_a_drawing_of_many_parts_is_drawn(tmp_path):
 # Names -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["a\nend_header\n", "a\tb", "\x1b[2J", "a\u202eb", "\ud800"])
+@pytest.mark.parametrize("name", ["a\nend_header\n", "a\tb", "\x1b[2J", "a\u202eb", "\ud800", 5000 * "a"])
 def test_a_name_is_one_line_without_control_characters(name):
     """It stands in the heads of PLY, OBJ and VTK files, and in messages."""
     scene = ts.Scene(dim=3)
@@ -183,10 +183,12 @@ def test_a_name_is_one_line_without_control_characters(name):
         lambda: scene.add_collider(ts.Sphere((0.0, 0.0, 0.0), 1.0, name=name)),
     ):
         with pytest.raises(
-            ts.SceneError, match=r"name: .* is not allowed; it must be a text in one line, without"
+            ts.SceneError, match=r"name: .* is not allowed; it must be a text (in one|of at most)"
         ) as caught:
             give()
         assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 250
+    scene.set_name(balls, 200 * "a")
     scene.set_name(balls, "Bälle ☃\u202f1 <b>&")
 
 

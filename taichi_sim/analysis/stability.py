@@ -67,7 +67,7 @@ def stability(
     )
     if idle or scene.pinned.all():
         return _unlimited("no spring moves a ball: every step is stable")
-    pushed = pushing_gas(scene) if method.single_pass and GASES in method.solved(scene) else np.inf
+    pushed = _pushed(scene, method)
     if pushed < limit.of_elements(rates):
         return Stability(
             pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
@@ -141,8 +141,16 @@ def _explicit(scene: Scene, method: Method, custom: Declared) -> Rates:
     return element_rates(scene, method.solved(scene)).plus(custom.left(method.solves_elements))
 
 
+def _pushed(scene: Scene, method: Method) -> float:
+    """The longest step [s] that the push of gases allows a method; infinite where it solves for them together with all else."""
+    return pushing_gas(scene) if method.single_pass and GASES in method.solved(scene) else np.inf
+
+
 def explicit_parts(scene: Scene, method: Method, custom: Declared) -> str:
-    """Names of what a method takes explicitly besides springs."""
+    """Names of what a method takes explicitly besides springs, or of the gas whose push allows it the shortest steps."""
+    pushed, limit = _pushed(scene, method), method.limit
+    if limit is not None and pushed < np.inf and pushed < limit.of_elements(_explicit(scene, method, custom)):
+        return f"the push of the {GASES.name}"
     solved = method.solved(scene)
     names = [one.name for one in ELEMENTS if one.acts(scene) and one not in solved]
     names += ["user-defined forces"] * any(custom.left(method.solves_elements))
@@ -158,8 +166,8 @@ def _of_elements(method: Method, limit: StabilityLimit, rates: Rates, parts: str
     h = limit.of_elements(rates)
     if np.isinf(h):
         return _unlimited("nothing has stiffness or damping: every step is stable")
-    what = f"{method} gains energy whatever the step" if h == 0.0 else f"explicit forces, limit {method}"
-    return Stability(h, h, None, None, f"{parts}: {what}")
+    what = "and gains energy whatever the step" if h == 0.0 else "which limits its step"
+    return Stability(h, h, None, None, f"{method} takes {parts} explicitly, {what}")
 
 
 class Sinking(NamedTuple):

@@ -93,6 +93,10 @@ def run(
         return
     names = out or []
     targets: Sequence[Any] = open_outputs(names, fps=job.output["fps"], overwrite=overwrite, resume=resume, codec=codec)
+    if transparent and targets and not any(one.needs_image for one in targets):
+        for one in targets:
+            one.discard()
+        raise ValueError(f"--transparent: {names[0]} holds no pictures; write PNG frames, to a folder/")
     if resume and targets:
         names, targets = _to_resume(names, targets, frame_count(job.output["fps"], job.output["duration"]))
         if not targets:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-__all__ = ["EXACT", "ROUNDED", "measured", "measures", "percent", "plain_number"]
+__all__ = ["EXACT", "ROUNDED", "counted", "measured", "measures", "percent", "plain_number"]
 
 EXACT = 1e-12  # of a value: an uncertainty below that is rounding
 ROUNDED = "exact to rounding"
@@ -26,6 +26,11 @@ def measures(values: Sequence[float], uncertainties: Sequence[float | None], uni
         _one(value / 10.0**power, _scaled(u, power), f"{PREFIXES[power]}{unit}")
         for value, u in zip(values, uncertainties)
     ]
+
+
+def counted(number: int, one: str, many: str) -> str:
+    """A number and the words that follow it: those for one, or those for several or none."""
+    return f"{number} {one if number == 1 else many}"
 
 
 def percent(part: float) -> str:

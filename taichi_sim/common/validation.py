@@ -42,6 +42,7 @@ MOST_MAGNITUDE = (
 )
 LEAST_POSITIVE = 1 / MOST_MAGNITUDE  # and do not vanish
 MOST_WHOLE = 2**63 - 1
+MOST_NAME = 200  # characters
 
 
 def as_array(value: Any) -> NDArray[Any]:
@@ -129,10 +130,12 @@ def one_of(where: str, value: Any, words: Iterable[Any], more: str = "") -> None
 
 
 def name(where: str, value: Any) -> str:
-    """A name, which goes into messages and into the heads of files: a text without line breaks and control characters. Raises
-    SceneError."""
+    """A name, which goes into messages and into the heads of files: a text of at most MOST_NAME characters, without line breaks
+    and control characters. Raises SceneError."""
     if not isinstance(value, str) or not value:
         raise SceneError(where, value, "a text")
+    if len(value) > MOST_NAME:
+        raise SceneError(where, value, f"a text of at most {MOST_NAME} characters")
     if printable(value) != value or "\n" in value or "\t" in value:
         raise SceneError(where, value, "a text in one line, without control characters")
     return value

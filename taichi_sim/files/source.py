@@ -15,7 +15,7 @@ from typing import Any
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError, about, did_you_mean, unknown_key, words_of
 from taichi_sim.common.plain import plain
-from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.camera_path import CameraPath, require_depth
 from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.scene import Scene
 
@@ -132,6 +132,8 @@ def checked_output(scene: Scene) -> dict[str, Any]:
     if listed.get("camera") is not None:
         with about("scene.output.camera"):
             CameraPath.of(listed["camera"], scene.dim, scene.n_balls)
+    with about("scene.output.aperture"):
+        require_depth(listed.get("aperture", 0.0), scene.dim)
     if listed.get("overlay") is not None:
         with about("scene.output.overlay"):
             Overlay.of(listed["overlay"], scene.dim, units_of(scene))

@@ -25,7 +25,7 @@ from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name
 from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
-from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.camera_path import CameraPath, require_depth
 from taichi_sim.scene.looks import Look
 from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.part import Part
@@ -158,6 +158,8 @@ class Reader:
         with self._at("output", "camera"):
             self._camera(scene)
         self._looks(scene)
+        with self._at("output"):
+            require_depth(scene.output.get("aperture", 0.0), scene.dim)
         with self._at("output", "overlay"):
             if "overlay" in scene.output:
                 Overlay.of(scene.output["overlay"], scene.dim, units_of(scene))

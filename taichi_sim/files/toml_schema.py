@@ -22,6 +22,7 @@ from pydantic import (
     FiniteFloat,
     PositiveInt,
     TypeAdapter,
+    ValidationInfo,
     WithJsonSchema,
     create_model,
 )
@@ -32,7 +33,7 @@ from taichi_sim import shapes
 from taichi_sim.analysis.methods import BUILT_IN_METHODS, VERLET
 from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
-from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.camera_path import MOST_APERTURE, CameraPath
 from taichi_sim.scene.looks import Look
 from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.part import Part
@@ -135,6 +136,14 @@ def _rising(pair: tuple[float, float]) -> tuple[float, float]:
     if pair[0] >= pair[1]:
         raise PydanticCustomError("rising", "two numbers, the lower first")
     return pair
+
+
+def _within_a_frame(shutter: float, about: ValidationInfo) -> float:
+    """A shutter [s] that is closed before it opens for the next frame."""
+    fps = about.data.get("fps")
+    if fps is not None and shutter * fps > 1 + 1e-9:
+        raise PydanticCustomError("within_a_frame", "at most 1 / fps, {most} s", {"most": float(f"{1 / fps:.4g}")})
+    return shutter
 
 
 # Types and meanings -------------------------------------------------------------------------------------------------
@@ -258,8 +267,10 @@ class Output(Strict):
     crease: Annotated[FiniteFloat, Ge(0), Le(180)] = _key(
         40.0, "between triangles at the start, from which their edge is sharp, in 3D; not where subdivide is [degrees]"
     )
-    shutter: Annotated[FiniteFloat, Ge(0)] = _key(0.0, "how long the shutter is open, for motion blur [s]")
-    aperture: Annotated[FiniteFloat, Ge(0)] = _key(
+    shutter: Annotated[FiniteFloat, Ge(0), AfterValidator(_within_a_frame)] = _key(
+        0.0, "how long the shutter is open, for motion blur; at most 1 / fps [s]"
+    )
+    aperture: Annotated[FiniteFloat, Ge(0), Le(MOST_APERTURE)] = _key(
         0.0, "diameter of the lens, for depth of field about the camera's target, in 3D [m]"
     )
     exposures: Annotated[int, Ge(1), Le(256)] = _key(

@@ -53,6 +53,12 @@ def open_output(
     suffix = Path(name).suffix.lower()
     if name.endswith(("/", "\\")) or (suffix not in (*CODECS, *OTHERS) and Path(name).is_dir()):
         suffix = ""
+    if (
+        suffix == ""
+        and Path(name).name.lower() in (*CODECS, *OTHERS)
+        and not (name.endswith("/") or Path(name).is_dir())
+    ):
+        raise ValueError(f"{name}: is an ending without a name; give x{Path(name).name}")
     if not name:
         raise ValueError("the name of the output is empty; give a file, x.mp4 for instance, or a folder of frames")
     if resume and overwrite:

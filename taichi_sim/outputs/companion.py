@@ -14,7 +14,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
-from taichi_sim.common.quantities import measured, plain_number
+from taichi_sim.common.quantities import counted, measured, plain_number
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
 __all__ = ["Companion", "StepError"]
@@ -80,18 +80,22 @@ class Companion:
         """Keep what the first run reads at a frame."""
         self._readings.append((frame.time, dict(frame.probes)))
 
-    def compare(self, simulation: Any, advance: Callable[[int, float], None]) -> StepError:
+    def compare(
+        self, simulation: Any, advance: Callable[[int, float], None], begin: Callable[[str], object] = str
+    ) -> StepError:
         """Run again and compare at the frames' times. simulation: the first run at its end; advance takes the number of frames
-        done and the simulated seconds."""
+        done and the simulated seconds; begin gets, before each run, its frames in words."""
         half, single = simulation.dt / simulation.substeps / 2.0, simulation.backend.precision == "f32"
         free, order = ~simulation.scene.pinned, _Order.of(simulation)
         energy = simulation.energy()
         runs = [_Run(simulation.position[free], energy.total, _by_name([probes for _, probes in self._readings]))]
         try:
+            begin("frames of the second run, at half the step")
             again, start = self._second(simulation)
             with again:
                 runs.append(self._repeat(again, free, advance))
                 if order.needs_third:
+                    begin("frames of the third run, at a quarter of the step")
                     with _resumed(again.at_half_step(), start) as once_more:
                         runs.append(self._repeat(once_more, free, advance))
         except UnstableError as error:
@@ -132,9 +136,9 @@ class Companion:
             return
         steep = {name: _beside_extremes(run) for name, run in moving.items()}
         wide = [name for name in steep if steep[name] > max(error.probes.get(name, (np.inf,))[1:], default=np.inf)]
-        changes = [f"{name} by {measured(steep[name], unit=units.get(name, ''))}" for name in wide[:NAMED]]
-        more = f" and {len(wide) - NAMED} more" if len(wide) > NAMED else ""
-        detail = f", where from one frame to the next {', '.join(changes)}{more} change: raise --fps" if wide else ""
+        changes = [f"{name} changes by {measured(steep[name], unit=units.get(name, ''))}" for name in wide[:NAMED]]
+        more = f", and {counted(len(wide) - NAMED, 'more does', 'more do')} so" if len(wide) > NAMED else ""
+        detail = f" ({', '.join(changes)} from one frame to the next{more}: raise --fps)" if wide else ""
         yield f"extremes between frames{detail}"
 
     def _repeat(self, again: Any, free: NDArray, advance: Callable[[int, float], None]) -> _Run:

@@ -32,7 +32,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
-from taichi_sim.common.quantities import ROUNDED, measures, plain_number
+from taichi_sim.common.quantities import ROUNDED, counted, measures, plain_number
 from taichi_sim.common.signals import Patience, patiently
 from taichi_sim.device import compiling
 from taichi_sim.outputs import whole_run
@@ -173,9 +173,8 @@ class Summary:
         if self.crossings is None:
             lines.append(f"crossings    of surfaces not counted, there are too many triangles; {KEEPS_APART}")
         elif self.crossings:
-            lines.append(
-                f"crossings    {self.crossings} edges of surfaces go through triangles at the end: look at it; {KEEPS_APART}"
-            )
+            edges = counted(self.crossings, "edge of a surface goes", "edges of surfaces go")
+            lines.append(f"crossings    {edges} through triangles at the end: look at it; {KEEPS_APART}")
         if self.torn is not None:
             lines.append(f"torn         {self.torn[0]} of the {self.torn[1]} springs that may tear")
         lines += self._readings()
@@ -248,6 +247,8 @@ class Summary:
         if found.why:
             yield f"{'uncertainty':12} not known: {by} failed: {found.why}"
             return
+        if self.left_out:
+            yield not_included(self.left_out)
         known = ""
         if not np.isnan(found.rms):
             rms, largest = measures([found.rms, found.largest], [None, None], "m")
@@ -260,8 +261,6 @@ class Summary:
             )
         if found.hidden:
             yield f"{'':12} not known of the extremes of probes: {found.hidden}"
-        if self.left_out:
-            yield not_included(self.left_out)
 
 
 def _shown(video: Path) -> str:
@@ -538,8 +537,9 @@ def export(
         summary.contact_load = _contact_load(simulation) if summary.unsolved else ""
         summary.momentum = tuple(np.atleast_1d(simulation.momentum()).tolist())
         if companion is not None:
-            bar.phase(lambda _: "compiling", "frames of the second run, at half the step")
-            summary.step_error = companion.compare(simulation, bar.advance)
+            summary.step_error = companion.compare(
+                simulation, bar.advance, lambda what: bar.phase(lambda _: "compiling", what)
+            )
             at_touch = simulation.setup.at_touch
             others = left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
             summary.left_out = [*others, *companion.between_frames(summary.step_error, summary.units)]

@@ -1,7 +1,7 @@
 """A scene in binary glTF, which browsers, Blender and most 3D programs open: what pictures show, over time."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ __all__ = ["Gltf"]
 MOST_SHAPES = 128  # of a mesh: browsers on small devices have no room for many more
 MOST_BYTES = 1 << 28  # of all shapes together
 SHAPE_BYTES = 24  # of a vertex in a shape: place and normal
+MOST_MOTION_BYTES = 1 << 30  # of the places of nodes at all frames; a file of 4 GiB has lengths that glTF cannot state
 
 
 class Gltf(SceneFilm):
@@ -25,14 +26,15 @@ class Gltf(SceneFilm):
     in a node of its own. Colours and images of looks are materials, vertices have normals and, on a texture, places.
 
     Meshes have at most MOST_SHAPES shapes and MOST_BYTES together: where there are more frames, shapes of some of them, evenly
-    spread, with a warning; between two of them points move straight. Frames wait in the log beside the file until it is complete.
+    spread, with a warning; between two of them points move straight. Places of nodes take at most
+    MOST_MOTION_BYTES, likewise. Frames wait in the log beside the file until it is complete.
     resume: go on where a run into the same name was cut off.
     """
 
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
         """Be ready. Raises ValueError where two shapes of all that is shown would already be too large."""
         super().prepare(first, size, style)
-        self._shapes(GltfScene(first, self.textures, self.path.parent), 2)
+        self._shapes(GltfScene(first, self.textures, self.path.parent), [0, 1])
 
     def finish(self) -> None:
         """Write the file from the frames that were kept."""
@@ -40,17 +42,31 @@ class Gltf(SceneFilm):
         if first is not None:
             scene, fps = GltfScene(first, self.textures, self.path.parent), float(self.fps or USUAL_FPS)
             self.fit_camera()
-            shapes, shown = self._shapes(scene, self.frames), list[int]()
+            shown = self._shown(scene)
+            shapes = self._shapes(scene, shown)
             for index, frame in self.log.frames():
-                shown.append(index)
-                scene.add(frame, self.camera(frame), index in shapes)
+                camera = self.camera(frame)
+                if index in shown:
+                    scene.add(frame, camera, index in shapes)
             with replacing(self.path) as file:
-                scene.write(file, fps, shown, [index for index in shown if index in shapes], self.aspect)
+                scene.write(file, fps, shown, shapes, self.aspect)
         super().finish()
 
-    def _shapes(self, scene: GltfScene, count: int) -> set[int]:
-        """Numbers of the frames, of so many, at which meshes have a shape."""
-        most = MOST_BYTES // max(1, SHAPE_BYTES * scene.vertices)
+    def _shown(self, scene: GltfScene) -> list[int]:
+        """Numbers of the frames at which nodes have places."""
+        count = self.frames
+        kept = min(count, max(2, MOST_MOTION_BYTES // max(1, scene.frame_bytes)))
+        if kept < count:
+            warnings.warn(
+                f"{self.path}: holds the motion at {kept} of {count} frames, evenly spread; .glb takes at most"
+                f" {MOST_MOTION_BYTES >> 20} MB of it; for all of it write x.usdc",
+                stacklevel=3,
+            )
+        return _spread(list(range(count)), kept)
+
+    def _shapes(self, scene: GltfScene, shown: Sequence[int]) -> list[int]:
+        """Numbers of the frames, of those shown, at which meshes have a shape."""
+        count, most = len(shown), MOST_BYTES // max(1, SHAPE_BYTES * scene.vertices)
         if most < 2:
             raise ValueError(
                 f"{self.path}: {scene.vertices} moving vertices are too many for .glb; at most"
@@ -63,4 +79,9 @@ class Gltf(SceneFilm):
                 f" {MOST_SHAPES} shapes and {MOST_BYTES >> 20} MB of them",
                 stacklevel=2,
             )
-        return set(np.rint(np.linspace(0, count - 1, kept)).astype(int).tolist())
+        return _spread(shown, kept)
+
+
+def _spread(numbers: Sequence[int], kept: int) -> list[int]:
+    """So many of the numbers, evenly spread."""
+    return [numbers[k] for k in np.rint(np.linspace(0, len(numbers) - 1, kept)).astype(int).tolist()]

@@ -128,8 +128,14 @@ class Parts:
             k = int(self.number[one.corners[0, 0]])
             tint = np.einsum("vk,vki->vi", one.weights, self.colour[one.corners])
             tint = np.clip(tint if one.colour is None else np.tile(one.colour, (len(tint), 1)), 0.0, 1.0)
-            all_ = np.arange(len(one.corners))
-            self.surfaces.append(Surface(k, self.names[k], one.corners, one.weights, one.triangles, tint, None, all_))
+            if one.uv is None:
+                shown = Surface(
+                    k, self.names[k], one.corners, one.weights, one.triangles, tint, None, np.arange(len(tint))
+                )
+            else:
+                at, faces, places, smooth = _at_seams(one.triangles, one.uv)
+                shown = Surface(k, self.names[k], one.corners[at], one.weights[at], faces, tint[at], places, smooth)
+            self.surfaces.append(shown)
         for name in textured:
             self._project(name, in_3d(first.position))
         self.bodies = _bodies(first, self.names)
@@ -150,16 +156,10 @@ class Parts:
 
     def _mapped(self, k: int, name: str, triangles: NDArray, uv: Floats) -> Surface:
         """One whose triangles have places at their corners, (t, 3, 2): a vertex for each place of each ball."""
-        rows = np.column_stack([triangles.ravel(), uv.reshape(-1, 2)])
-        made, vertex = np.unique(rows, axis=0, return_inverse=True)
-        balls = made[:, 0].astype(np.int64)
-        faces = vertex.reshape(-1, 3)
+        balls, faces, places, smooth = _at_seams(triangles, uv)
         self._split[k] = {row.tobytes(): corners for row, corners in zip(triangles.astype(np.int64), faces)}
-        _, first, same = np.unique(balls, return_index=True, return_inverse=True)
         corners = balls[:, None].astype(np.int32)
-        return Surface(
-            k, name, corners, np.ones(corners.shape), None, self.colour[balls], made[:, 1:], first[same.reshape(-1)]
-        )
+        return Surface(k, name, corners, np.ones(corners.shape), None, self.colour[balls], places, smooth)
 
     def _vertices(self, k: int, triangles: NDArray) -> NDArray[np.int32]:
         """The vertices (t, 3) of triangles of balls, on the surface of an object."""
@@ -186,6 +186,16 @@ class Parts:
         pairs = frame.springs.reshape(-1, 2)
         pairs = pairs[~self.hidden[pairs].any(axis=1)]
         return pairs, self.number[pairs[:, 0]]
+
+
+def _at_seams(triangles: NDArray, uv: Floats) -> tuple[NDArray[np.int64], NDArray[np.int32], Floats, NDArray[np.int64]]:
+    """A vertex for each place (t, 3, 2) on a texture of each corner of triangles (t, 3): the corner (v,) that it is, triangles
+    (t, 3) by them, places (v, 2), and the first vertex (v,) that is the same corner."""
+    rows = np.column_stack([triangles.ravel(), uv.reshape(-1, 2)])
+    made, vertex = np.unique(rows, axis=0, return_inverse=True)
+    corner = made[:, 0].astype(np.int64)
+    _, first, same = np.unique(corner, return_index=True, return_inverse=True)
+    return corner, vertex.reshape(-1, 3).astype(np.int32), made[:, 1:], first[same.reshape(-1)]
 
 
 def in_3d(x: NDArray) -> Floats:

@@ -31,10 +31,8 @@ Floats = NDArray[np.float64]
 SAMPLED_BALLS = 20_000  # balls looked at: enough for a frame, quick for millions
 FIT_MARGIN = 1.10
 FEW_LOOSE = 30  # loose balls: all of fewer are shown
-STAYING, MUCH_NEARER = (
-    0.9,
-    0.75,
-)  # part of loose balls that is always shown; of the distance to all, where others are left out
+STAYING = 0.9  # part of loose balls that is always shown
+MUCH_NEARER = 0.75  # of the distance to all balls: from nearer than that some are left out
 LARGE = 4.0  # times as large as the balls' box is a collider of which only the part beside them needs to be shown
 BESIDE = 0.25  # of the size of the balls' box
 AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view

@@ -82,6 +82,11 @@ class Content:
             smoothing = _smoothing(frame, triangles, binding, bodies, 180.0 if subdivide else crease, rest)
             uv = np.full((len(triangles) >> 2 * subdivide, 3, 2), np.nan)
             uv[: len(bare)] = _on_texture(frame, bare)
+            first = len(bare)
+            for one in frame.embedded_surfaces:
+                if one.uv is not None:
+                    uv[first : first + len(one.triangles)] = one.uv
+                first += len(one.triangles)
             for _ in range(subdivide):
                 uv = subdivided_corners(uv)
             styles = Styles.of(frame, looks, triangles, binding, bodies, smoothing.sheet, rest, uv)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame, Placed
 from taichi_sim.common import validation
 from taichi_sim.render.palette import to_linear
+from taichi_sim.scene.camera_path import MOST_APERTURE
 
 __all__ = ["EXPOSURES", "Exposure", "Mean"]
 
-EXPOSURES = 16  # pictures in the mean of one
+MOST_SHUTTER = 1e4  # s, of a scene with the fewest frames a second that films have
+EXPOSURES, MOST_EXPOSURES = 16, 256  # pictures in the mean of one
 GOLDEN = math.pi * (3 - 5**0.5)  # angle [rad] between a point and the next one of a disc that is filled evenly
 LINEAR = to_linear(np.arange(256) / 255).astype(np.float32)
 SRGB = np.rint(255 * np.interp(np.arange(65536) / 65535, LINEAR, np.arange(256) / 255)).astype(np.uint8)
@@ -30,9 +32,9 @@ class Exposure:
     exposures: int = EXPOSURES
 
     def __post_init__(self) -> None:
-        validation.number("shutter", self.shutter, low=0)
-        validation.number("aperture", self.aperture, low=0)
-        validation.whole("exposures", self.exposures, 1, 256)
+        validation.number("shutter", self.shutter, low=0, high=MOST_SHUTTER)
+        validation.number("aperture", self.aperture, low=0, high=MOST_APERTURE)
+        validation.whole("exposures", self.exposures, 1, MOST_EXPOSURES)
 
     @property
     def is_sharp(self) -> bool:
@@ -43,9 +45,9 @@ class Exposure:
         """The frames, and the places [m] beside the middle of the lens, to the right and up, of the pictures in the mean. Balls
         move on evenly; the camera stands still."""
         n = self.exposures
-        for k in range(n):
+        for k, place in enumerate(_shuffled(n)):
             away = 0.5 * self.aperture * math.sqrt((k + 0.5) / n)
-            time = self.shutter * ((_shuffled(k) + 0.5 / n) - 0.5)
+            time = self.shutter * ((place + 0.5) / n - 0.5)
             yield _later(frame, time), (away * math.cos(GOLDEN * k), away * math.sin(GOLDEN * k))
 
 
@@ -92,10 +94,8 @@ def _later(frame: Frame, time: float) -> Frame:
     return moved
 
 
-def _shuffled(k: int) -> float:
-    """Numbers from 0 to 1 that fill it evenly, whatever number of them (the radical inverse of base 2)."""
-    result, share = 0.0, 0.5
-    while k:
-        result += share * (k & 1)
-        k, share = k >> 1, share / 2
-    return result
+def _shuffled(n: int) -> list[int]:
+    """The numbers from 0 to n - 1, those of neighbours far apart: the ranks of radical inverses of base 2."""
+    mirrored = [int(f"{k:08b}"[::-1], 2) for k in range(n)]  # of as many bits as MOST_EXPOSURES has
+    order = sorted(mirrored)
+    return [order.index(one) for one in mirrored]

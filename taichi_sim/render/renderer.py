@@ -1,7 +1,6 @@
 """Renderer: frames to pictures, without OpenGL, window or display."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.exposure import EXPOSURES, Exposure, Mean
 from taichi_sim.render.smoothing import CREASE
 from taichi_sim.render.stages import STAGES
-from taichi_sim.scene.camera_path import CameraPath
+from taichi_sim.scene.camera_path import CameraPath, require_depth
 from taichi_sim.scene.looks import Look
 
 __all__ = ["Renderer"]
@@ -76,8 +75,7 @@ class Renderer:
         if stage not in STAGES:
             raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
         self._exposure = Exposure(shutter, aperture, exposures)
-        if frame.dim == 2:  # all is as far away
-            self._exposure = replace(self._exposure, aperture=0.0)
+        require_depth(aperture, frame.dim)
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         shapes = [one.name for one in frame.objects]
         colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]

@@ -139,7 +139,7 @@ def _limited(scene: Scene, custom: Declared) -> Iterator[str]:
         longest = stability(scene, method, None, custom).dt_any_shape
         if not np.isinf(longest):
             parts = explicit_parts(scene, method, custom)
-            yield f"{method} takes {parts} explicitly, which allow it steps of {longest:.4g} s; springs limit none"
+            yield f"{method} takes {parts} explicitly, which allows it steps of {longest:.4g} s; springs limit none"
 
 
 def _seconds(value: float) -> str:

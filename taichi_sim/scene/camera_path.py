@@ -12,9 +12,10 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.scene.keyframes import Checks, keyframes
 
-__all__ = ["CameraPath", "eased"]
+__all__ = ["MOST_APERTURE", "CameraPath", "eased", "require_depth"]
 
 Vector = tuple[float, ...]
+MOST_APERTURE = 1e3  # m
 KEYS_IN_2D = ("centre", "width", "follow", "fit")
 
 
@@ -162,3 +163,9 @@ def _keyframes(where: str, value: Any) -> tuple[Any, ...]:
 
 def _vector(where: str, value: Any, dim: int) -> Vector:
     return tuple(validation.vector(where, value, dim).tolist())
+
+
+def require_depth(aperture: float, dim: int) -> None:
+    """Raise SceneError where a lens has an aperture [m] in a scene in which all is as far away."""
+    if aperture and dim == 2:
+        raise SceneError("aperture", aperture, says="is for scenes in 3D; in 2D all is as far away")

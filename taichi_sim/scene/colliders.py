@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.common.plain import plain
+from taichi_sim.common.quantities import counted
 from taichi_sim.geometry.mesh import Surface, area_distance, given_surface, holes, mesh_distance, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.motion import Keyframe, Motion, plain_path, turn_matrix
@@ -362,9 +363,10 @@ def _closed(surface: Surface, where: str, name: str) -> Surface:
         at = ""
         if len(open_edges):
             at = f"; the first lies at {(surface.vertices[open_edges[0]].mean(axis=0)).round(6).tolist()}"
+        edges = counted(len(open_edges), "edge does", "edges do")
         raise SceneError(
             where,
-            says=f"{name} is not closed: {len(open_edges)} edges do not lie between exactly two triangles that"
+            says=f"{name} is not closed: {edges} not lie between exactly two triangles that"
             f" face the same way{at}; a collider needs an inside",
         )
     inside = volume(surface)

@@ -23,6 +23,7 @@ class EmbeddedSurface:
     triangles: NDArray[np.int32]  # (t, 3) its vertices, counter-clockwise from outside
     covers: NDArray[np.int32]  # (b,) balls that it is drawn in place of, besides those that its vertices follow
     colour: tuple[float, ...] | None = None  # sRGB, 0 to 1; None: that of the balls
+    uv: NDArray[np.float64] | None = None  # (t, 3, 2) places of the corners of its triangles on a texture, v upward
 
     def covered(self, n: int) -> NDArray[np.bool_]:
         """Mask (n,) of the balls in place of which it is drawn."""
@@ -40,6 +41,7 @@ def build_surface(
     triangles: ArrayLike,
     covers: ArrayLike | None,
     colour: tuple[float, ...] | None,
+    uv: ArrayLike | None = None,
 ) -> EmbeddedSurface:
     """A checked surface on n_balls balls. Raises SceneError that names the argument of `where`."""
     shape = validation.as_array(corners).shape
@@ -57,4 +59,11 @@ def build_surface(
         raise SceneError(f"{where}.weights[{row}]", shares[row], "numbers that sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
-    return sealed(EmbeddedSurface(balls, shares, faces, hidden, colour))
+    places = None
+    if uv is not None:
+        shape = validation.as_array(uv).shape
+        if shape != (len(faces), 3, 2):
+            says = f"shape {shape} does not fit; it must be ({len(faces)}, 3, 2), two numbers for each corner of its triangles"
+            raise SceneError(f"{where}.uv", says=says)
+        places = validation.vectors(f"{where}.uv", np.reshape(uv, (-1, 2)), 3 * len(faces), 2).reshape(-1, 3, 2)
+    return sealed(EmbeddedSurface(balls, shares, faces, hidden, colour, places))

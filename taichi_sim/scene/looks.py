@@ -58,11 +58,13 @@ class Look:
         """Make a look from a table of [[output.looks]], the names of shapes and colliders, and the looks of the tables
         before. Raises SceneError that names `where`, the key and the value."""
         known = [f.name for f in fields(cls)]
-        if not isinstance(given, Mapping) or "of" not in given:
-            raise SceneError(where, given, f"a table with the key of, and others among {', '.join(known[1:])}")
+        if not isinstance(given, Mapping):
+            raise SceneError(where, given, "a table")
         for key in given:
             if key not in known:
                 raise unknown_key((where, key), known, "a key of a look")
+        if "of" not in given:
+            raise SceneError(f"{where}.of", says="is missing; give the name of a shape or of a collider")
         look = cls(**given)
         names = sorted({*shapes, *colliders})
         if look.of not in names:
@@ -113,6 +115,8 @@ class Look:
             if isinstance(error, UnidentifiedImageError):
                 reason = f"it is none of {', '.join(FORMATS)}"
             says = f"is not an image that can be read: {reason}"
+            if isinstance(error, FileNotFoundError):
+                says = "is not there; give an image file that exists"
             raise SceneError(f"{where}.texture", Path(self.texture), says=says) from None
         image.thumbnail((KEPT_PIXELS, KEPT_PIXELS))
         sizes = [np.asarray(image)]

@@ -36,7 +36,7 @@ class _Colliders(Listed):
 
 
 MATERIAL = ("name", "restitution", "friction", "viscous_friction", "colour")
-SURFACE = ("corners", "weights", "triangles", "covers", "colour")
+SURFACE = ("corners", "weights", "triangles", "covers", "colour", "uv")
 MEMBERS = {"balls": "members"}
 # in the order in which a file's tables are added; shapes come after the balls. Attachments become springs
 PARTS: tuple[Part, ...] = (

@@ -387,6 +387,7 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         *,
         covers: ArrayLike | None = None,
         colour: Sequence[float] | None = None,
+        uv: ArrayLike | None = None,
     ) -> int:
         """Add a surface that pictures show in place of balls, their springs and triangles, and return its number.
 
@@ -394,10 +395,11 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             corners: (s, k) balls that each of its s vertices follows; weights: (s, k) their shares [1], 1 in sum for each vertex.
             triangles: (t, 3) vertices of the surface, counter-clockwise seen from outside.
             covers: (b,) further balls that it is shown in place of. colour: sRGB in 0..1 [1]; None: that of the balls.
+            uv: (t, 3, 2) places of the corners of its triangles on a texture, v upward [1]; None: there are none.
         """
         where = f"embedded_surfaces[{len(self.embedded_surfaces)}]"
         tint = None if colour is None else _colour(f"{where}.colour", colour)
-        self.embedded_surfaces.append(build_surface(where, self.n_balls, corners, weights, triangles, covers, tint))
+        self.embedded_surfaces.append(build_surface(where, self.n_balls, corners, weights, triangles, covers, tint, uv))
         return len(self.embedded_surfaces) - 1
 
     def new_body(self) -> int:

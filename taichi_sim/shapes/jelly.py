@@ -162,7 +162,7 @@ def jelly(
             if value is not None:
                 raise SceneError(f"jelly.{name}", says="is for a block; a mesh takes spacing, scale and young_modulus")
         surface = meshes.given_surface("jelly", mesh, up)
-        surface = meshes.Surface(surface.vertices * factor, surface.triangles)
+        surface = surface._replace(vertices=surface.vertices * factor)
         extent = np.ptp(surface.vertices, axis=0)
         step = or_default("jelly.spacing", spacing, float(extent.max()) / DEFAULT_BOXES)
         enclosed = abs(meshes.volume(surface))
@@ -197,7 +197,10 @@ def jelly(
         **placed,
     )
     if skin is not None:
-        scene.add_embedded_surface(shape.balls[skin[0]], skin[1], surface.triangles, covers=shape.balls, colour=colour)
+        corners, weights = shape.balls[skin[0]], skin[1]
+        scene.add_embedded_surface(
+            corners, weights, surface.triangles, covers=shape.balls, colour=colour, uv=surface.uv
+        )
     return shape
 
 

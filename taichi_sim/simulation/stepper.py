@@ -461,18 +461,20 @@ class Stepper:
         if self.h > limit:
             self._warn(
                 "growth",
-                f"{grew}, because the step of {self.h:.6g} s is too long: in this shape {self._limiting(spring)} {self.method} to"
-                f" {limit:.6g} s",
+                f"{grew}, because the step of {self.h:.6g} s is too long: in this shape"
+                f" {self._limiting(spring, limit)}",
             )
             return
         more = ", or more contact_iterations" if self.parts.contacts.active else ""
         self._warn("growth", f"{grew}, which nothing explains; {self.h:.6g} s is used: take shorter steps{more}")
 
-    def _limiting(self, spring: int) -> str:
+    def _limiting(self, spring: int, limit: float) -> str:
+        """Words on the spring that limits the step to so many seconds, or, below 0, on what else does."""
         if spring < 0:
-            return f"{explicit_parts(self.scene, self.method, self.parts.forces.declared)} limit"
+            parts = explicit_parts(self.scene, self.method, self.parts.forces.declared)
+            return f"{self.method} takes {parts} explicitly, which limits it to {limit:.6g} s"
         ends = pair_in_words(self.scene.objects, *self.scene.pairs[spring].tolist())
-        return f"spring {spring} ({ends}) limits"
+        return f"spring {spring} ({ends}) limits {self.method} to {limit:.6g} s"
 
     def _works(self, growth: Growth) -> bool:
         """True if the chunk so far comes to the same energy with half of the substep. Afterwards all is as it was."""
@@ -504,8 +506,8 @@ class Stepper:
         if self.h > limit:
             self._warn(
                 "bound",
-                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape {self._limiting(spring)}"
-                f" {self.method} to {limit:.6g} s",
+                f"at t = {self.time:.6g} s the step of {self.h:.6g} s is not safe: in this shape"
+                f" {self._limiting(spring, limit)}",
             )
 
     def _present(self) -> tuple[float, int]:

@@ -156,16 +156,18 @@ class Player:
 
 
 class Command(NamedTuple):
-    """Something that a key or a button does with a player. key: its name in lists of keys."""
+    """Something that a key or a button does with a player. key: its name in lists of keys; paused: its label while the player
+    is paused, where that is another one."""
 
     label: str
     key: str
     words: str
     act: Callable[[Player], None]
+    paused: str = ""
 
 
 COMMANDS = (
-    Command("Pause", "space", "pause, go on", Player.pause),
+    Command("Pause", "space", "pause, go on", Player.pause, "Resume"),
     Command("Step", "s", "one time step", Player.step),
     Command("Picture", "right arrow", "one picture further", Player.step_picture),
     Command("Reset", "r", "back to the start", Player.reset),

@@ -46,6 +46,7 @@ class LiveView:
     ) -> None:
         self._server, self._title, self._style = WebServer(host, port), title, style or {}
         self.url = self._server.url
+        self._words = self._server.viser.gui.add_markdown("The scene is read and compiled. The first picture follows.")
         self._share = Share(MOST_FPS, PART)
         self._stage: WebStage | None = None
         self._begin = 0.0
@@ -65,6 +66,7 @@ class LiveView:
         self._share.spent(begin, time.perf_counter())
 
     def _open(self, first: Frame, now: float) -> None:
+        self._words.remove()
         self._stage = WebStage(self._server, first, self._style)
         scene = getattr(first, "scene", None)
         probes = {} if scene is None else units_of(scene)
@@ -90,8 +92,7 @@ class LiveView:
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
-        if isinstance(error, UnstableError):
-            _take_leave(self._server, str(error))
+        _take_leave(self._server, "The run has ended.", error)
         self.close()
 
 
@@ -131,11 +132,12 @@ def show(
             expected.spent()
             words.remove()
             _Browsers(server, player, title, style or {}).run()
-        except UnstableError as error:
-            _take_leave(server, str(error))
-            raise
-        except KeyboardInterrupt:  # as good an end as the close button of a window
+        except KeyboardInterrupt as error:  # as good an end as the close button of a window
             heard()
+            _take_leave(server, "", error)
+        except BaseException as error:
+            _take_leave(server, "", error)
+            raise
 
 
 class _Browsers:
@@ -194,7 +196,13 @@ class _Browsers:
                 self.holder = None
 
 
-def _take_leave(server: WebServer, words: str) -> None:
-    """Tell pages why nothing moves any more."""
+def _take_leave(server: WebServer, words: str, error: BaseException | None) -> None:
+    """Tell pages, if any is open, why nothing moves any more: `words`, or the error that ended it."""
+    if not server.watched:
+        return
+    if isinstance(error, KeyboardInterrupt):
+        words = "It was stopped by Ctrl-C."
+    elif error is not None:
+        words = str(error) if isinstance(error, UnstableError) else "An error, which the program printed, ended it."
     server.notify("The simulation ended", words)
     time.sleep(GOODBYE)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.viewer.player import COMMANDS, Player, Rows
+from taichi_sim.viewer.player import COMMANDS, Command, Player, Rows
 from taichi_sim.viewer.web_server import WebServer
 from taichi_sim.viewer.web_stage import COLOURS
 
@@ -71,6 +71,7 @@ class WebPanel:
         self.server, self.gui, self.colour = server, server.viser.gui, colour
         self.gui.set_panel_label(title)
         self._figures = self.gui.add_html("")
+        self._player, self._rows = player, list[tuple[Any, Sequence[Command]]]()
         if player is not None:
             for first in range(0, len(COMMANDS), BUTTONS):
                 self._buttons(player, COMMANDS[first : first + BUTTONS])
@@ -81,10 +82,11 @@ class WebPanel:
         self._due = 0.0
         self._shown: Any = None
 
-    def _buttons(self, player: Player, commands: Any) -> None:
+    def _buttons(self, player: Player, commands: Sequence[Command]) -> None:
         """A row of buttons, and the keys that do the same."""
-        acts: dict[str, Callable[[Player], None]] = {one.label: one.act for one in commands}
-        row = self.gui.add_button_group("", tuple(acts))
+        acts = {label: one.act for one in commands for label in (one.label, one.paused) if label}
+        row = self.gui.add_button_group("", tuple(one.label for one in commands))
+        self._rows.append((row, commands))
 
         # functions of asyncio are called one after the other, and others in any order
         async def press(event: Any) -> None:
@@ -121,6 +123,11 @@ class WebPanel:
         if said == self._shown:
             return
         self._shown = said
+        if self._player is not None:
+            for row, commands in self._rows:
+                labels = tuple((self._player.paused and one.paused) or one.label for one in commands)
+                if labels != row.options:
+                    row.options = labels
         cells = "".join(f"<tr><td>{escape(name)}</td><td>{escape(text)}</td></tr>" for name, text in said)
         self._figures.content = f"{STYLE}<table class='figures'>{cells}</table>"
         for names, plot in self._plots:

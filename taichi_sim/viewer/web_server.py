@@ -2,9 +2,11 @@
 
 import errno
 import hmac
+import logging
 import queue
 import secrets
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,6 +17,10 @@ __all__ = ["HOST", "PORT", "WebServer"]
 
 HOST, PORT, MOST_PORT = "127.0.0.1", 8080, 65535
 EVERYWHERE = ("0.0.0.0", "::", "")
+ALONE = threading.Lock()  # held while functions and a console that all of the process shares are others for a server
+SILENT = logging.getLogger(f"{__name__}.requests")  # of what strangers send, which is no error of this program
+SILENT.addHandler(logging.NullHandler())
+SILENT.propagate = False
 REFUSED = "taichi_sim: open the address that the program printed, with all that follows the port.\n"
 
 
@@ -33,7 +39,7 @@ class WebServer:
         self.port = int(listening.getsockname()[1])
         name = socket.gethostname() if host in EVERYWHERE else host
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{self.token}/"
-        with _without_words(), _guarded(listening, self.token):
+        with ALONE, _without_words(), _guarded(listening, self.token):
             self.viser = viser.ViserServer(host=host, port=self.port, verbose=False)
         # a page may ask for a tunnel through which anybody on the internet could come
         self.viser.request_share_url = lambda *_: None
@@ -61,7 +67,7 @@ class WebServer:
 
     def close(self) -> None:
         """Stop to serve. Pages stay as they are."""
-        with _without_words():
+        with ALONE, _without_words():
             self.viser.stop()
 
     def __enter__(self) -> "WebServer":
@@ -109,7 +115,7 @@ def _guarded(listening: socket.socket, token: str) -> Iterator[None]:
         def admit(connection: Any, request: Any) -> Any:
             place = request.path.partition("?")[0]
             given, _, rest = place.removeprefix("/").partition("/")
-            if not hmac.compare_digest(given.encode(), token.encode()):
+            if not hmac.compare_digest(given.encode(errors="surrogateescape"), token.encode()):
                 return connection.respond(403, REFUSED)
             request.path = f"/{rest}"
             answer = process_request(connection, request)
@@ -118,7 +124,7 @@ def _guarded(listening: socket.socket, token: str) -> Iterator[None]:
             return answer
 
         used.append(True)
-        return plain(handler, sock=listening, process_request=admit, **options)
+        return plain(handler, sock=listening, process_request=admit, logger=SILENT, **options)
 
     server.serve = serve  # type: ignore[assignment, misc]
     try:

@@ -169,7 +169,7 @@ def test_check_of_scenes_whose_cells_limit_the_step():
     with simulate(scene, integrator="xpbd", contacts="off") as sim:
         text = "\n".join(check.lines(sim))
     assert "None" not in text
-    assert "cells: explicit forces, limit xpbd" in text
+    assert "xpbd takes cells explicitly, which limits its step" in text
 
 
 def test_damping_of_bending_alone_limits_the_step():

@@ -355,6 +355,11 @@ REFUSED = [
         "transparent: x.mp4 holds no transparency; write PNG frames",
     ),
     (
+        ("run", "ball.toml", "-o", "x.npz", "--transparent"),
+        "--transparent: x.npz holds no pictures; write PNG frames, to a folder/",
+    ),
+    (("run", "ball.toml", "-o", ".glb"), ".glb: is an ending without a name; give x.glb"),
+    (
         ("run", "ball.toml", "-o", "x.gif", "--checkpoint", "5x"),
         "--checkpoint: '5x' is not allowed; it must be like 90,",
     ),

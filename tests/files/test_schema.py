@@ -248,6 +248,24 @@ def test_the_page_has_a_row_for_every_key():
     assert all(re.search(rf"^### \[+{name}\]", text, re.MULTILINE) for name in tables)
 
 
+@pytest.mark.parametrize(("dim", "output", "says"), [
+    (3, "fps = 50\nshutter = 0.03", r"line 7: output\.shutter: 0\.03 is not allowed; it must be at most 1 / fps, 0\.02 s"),
+    (3, "aperture = 2e3", r"line 6: output\.aperture: 2000\.0 is not allowed; it must be less than or equal to 1000"),
+    (2, "aperture = 0.1", r"line 6: output\.aperture: 0\.1 is for scenes in 3D; in 2D all is as far away"),
+    (3, "looks = [{object = 'flag', texture = 'a.png'}]", r"line 6: output\.looks\[0\]\.object: is not a key of a look; there"),
+    (3, "looks = [{texture = 'a.png'}]", r"line 6: output\.looks\[0\]\.of: is missing; give the name of a shape or of a"),
+    (3, "looks = [{of = 'b', texture = 'nope.png'}]", r"output\.looks\[0\]\.texture: '.*nope\.png' is not there; give an image"),
+])  # fmt: skip
+def test_what_pictures_cannot_have_is_refused_where_it_stands(tmp_path, dim, output, says):
+    place = [[0.0] * dim]
+    file = tmp_path / "a.toml"
+    file.write_text(
+        f"format = 1\ndim = {dim}\nballs = [{{name = 'b', position = {place}, radius = 0.1}}]\n\n[output]\n{output}\n"
+    )
+    with pytest.raises(ts.SceneError, match=says):
+        ts.load_scene(file)
+
+
 def test_color_is_colour(tmp_path):
     file = tmp_path / "a.toml"
     text = "format = 1\n[[balls]]\nposition = [0, 0]\nradius = 0.1\n"

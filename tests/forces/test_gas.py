@@ -6,9 +6,11 @@ from physics_support import F64, simulate
 from test_elements import elastic_forces
 
 import taichi_sim as ts
+from taichi_sim.analysis.element_rates import Declared
 from taichi_sim.analysis.methods import named
-from taichi_sim.analysis.stability import stability
+from taichi_sim.analysis.stability import explicit_parts, stability
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
+from taichi_sim.reports.check import _limited
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -83,3 +85,18 @@ def test_gas_limits_the_methods_that_leave_it_where_it_was():
     for name in ("implicit_euler", "tr_bdf2"):
         assert stability(scene, named(name)).dt_any_shape == np.inf
     assert stability(scene, named("verlet")).dt_any_shape < 2e-3
+
+
+@pytest.mark.once
+def test_what_limits_a_step_is_named_wherever_it_is_limited():
+    """Of one part and of several, and of gas that a method solves for but lets push only once in a step."""
+    scene = balloon(1, 0.12, pressure=700.0, mass=0.004)
+    for method, parts in (("xpbd", "the push of the gases"), ("verlet", "gases"), ("rk4", "gases")):
+        assert explicit_parts(scene, named(method), Declared()) == parts
+    assert "xpbd takes the push of the gases explicitly, which allows it steps of " in "\n".join(
+        _limited(scene, Declared())
+    )
+    with simulate(scene, integrator="xpbd", contacts="off", dt=1e-4) as sim:
+        assert (
+            sim._stepper._limiting(-1, 0.5) == "xpbd takes the push of the gases explicitly, which limits it to 0.5 s"
+        )

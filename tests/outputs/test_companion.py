@@ -236,8 +236,11 @@ def test_extremes_between_frames_are_not_included():
     low = int(np.argmin(load[1:])) + 1
     assert summary.probes["w0.tension"][2] == pytest.approx(load[top], rel=1e-3)
     said = next(line for line in summary.lines() if "not included:" in line)
-    assert "extremes between frames, where from one frame to the next w0.tension by " in said
-    stated = float(said.split("w0.tension by ")[1].split()[0])
+    assert "extremes between frames (w0.tension changes by " in said
+    assert said.endswith(" from one frame to the next: raise --fps)")
+    above = next(k for k, line in enumerate(summary.lines()) if "not included:" in line) - 1
+    assert list(summary.lines())[above].startswith("w0.tension ")
+    stated = float(said.split("w0.tension changes by ")[1].split()[0])
     beside = [abs(load[k] - load[k + side]) for k in (top, low) for side in (-1, 1) if 0 <= k + side < 9]
     assert any(stated == pytest.approx(one, rel=2e-2) for one in beside)
     held = weights(settled=True)

@@ -227,6 +227,31 @@ def test_more_frames_than_shapes(tmp_path, monkeypatch):
     assert np.allclose(player.of_node("marbles_ball_1", "translation", 3 / exchange.FPS), frames[3].position[ball])
 
 
+def test_more_frames_than_room_for_the_motion(tmp_path, monkeypatch):
+    """Every second frame is there: all of the file is whole, and what moves is where it was at these."""
+    monkeypatch.setattr(gltf, "MOST_MOTION_BYTES", 4 * 400)
+    monkeypatch.setattr(gltf_scene.GltfScene, "frame_bytes", 400)
+    with pytest.warns(UserWarning, match="x.glb: holds the motion at 4 of 7 frames, evenly spread"):
+        frames = exchange.write(exchange.scene(tmp_path), tmp_path, ["x.glb"])
+    player = Player(tmp_path / "x.glb")
+    flag, ball = balls_of(frames[0], "left flag"), balls_of(frames[0], "marbles")[1]
+    for k in (0, 2, 4, 6):
+        assert np.allclose(player.points("left flag", k / exchange.FPS), frames[k].position[flag], atol=1e-5)
+        assert np.allclose(player.of_node("marbles_ball_1", "translation", k / exchange.FPS), frames[k].position[ball])
+
+
+def test_the_room_for_the_motion_is_that_of_the_file(tmp_path):
+    exchange.write(exchange.scene(tmp_path), tmp_path, ["x.glb"])
+    player = Player(tmp_path / "x.glb")
+    (animation,) = player.json["animations"]
+    outputs = [
+        s["output"] for s, c in zip(animation["samplers"], animation["channels"]) if c["target"]["path"] != "weights"
+    ]
+    written = sum(player.array(one).size for one in outputs) * 4 / 7
+    made = gltf_scene.GltfScene(exchange.write(exchange.scene(tmp_path), tmp_path, ["y.npz"])[0], {}, tmp_path)
+    assert 0 < written <= made.frame_bytes
+
+
 def test_many_balls_are_one_mesh_and_springs_are_lines(tmp_path, monkeypatch):
     monkeypatch.setattr(gltf_scene, "MOST_NODES", 10)
     frames = exchange.write(exchange.scene(tmp_path), tmp_path, ["x.glb"])

@@ -3,16 +3,20 @@ are drawn in place of the balls that they cover."""
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from taichi_sim import Frame, Scene, SceneError, Simulation
+from taichi_sim import Frame, Scene, SceneError, Simulation, shapes
 from taichi_sim.files.toml_reader import load_scene
+from taichi_sim.geometry.mesh import read_surface
+from taichi_sim.outputs.parts import Parts
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
+from taichi_sim.scene.looks import Look
 
 pytestmark = pytest.mark.once
 
 RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
-COLUMNS = ("corners", "weights", "triangles", "covers")
+COLUMNS = ("corners", "weights", "triangles", "covers", "uv")
 SIZE = (160, 90)
 
 
@@ -26,7 +30,12 @@ def tetrahedron(colour=None, covers=None):
     weights = np.full((4, 4), 0.1) + 0.6 * np.eye(4)
     corners = np.tile(np.arange(4), (4, 1))
     scene.add_embedded_surface(
-        corners, weights, [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]], covers=covers, colour=colour
+        corners,
+        weights,
+        [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]],
+        covers=covers,
+        colour=colour,
+        uv=None if colour is None else np.linspace(0, 1, 24).reshape(4, 3, 2),
     )
     return scene
 
@@ -193,3 +202,53 @@ def test_in_pictures():
             frame.embedded_surfaces = ()
             image = renderer.render(frame).astype(int)
         assert (image[:, :, 1] > 1.12 * image[:, :, 0]).sum() == pytest.approx(4 * red, rel=0.15)
+
+
+# A cube of 12 triangles, each of its six sides on its own sixth of an image (2 x 3)
+DIE = [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
+SIDES = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+
+
+def die(path):
+    """Write it as OBJ."""
+    places = [f"vt {(k % 3 + u) / 3} {(k // 3 + v) / 2}" for k in range(6) for u, v in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    faces = [
+        "f " + " ".join(f"{corner}/{4 * k + j + 1}" for j, corner in enumerate(side)) for k, side in enumerate(SIDES)
+    ]
+    path.write_text("\n".join([*DIE, *places, *faces, ""]))
+
+
+@pytest.mark.parametrize("fill", ["voxels", "tetrahedra"])
+def test_a_jelly_of_a_mesh_keeps_its_places_on_a_texture(tmp_path, fill):
+    """In pictures, also subdivided ones, and in files for other programs."""
+    die(tmp_path / "die.obj")
+    scene = Scene(dim=3)
+    shapes.jelly(scene, mesh=tmp_path / "die.obj", spacing=0.5, fill=fill, young_modulus=1e4)
+    uv = read_surface(tmp_path / "die.obj").uv
+    assert np.array_equal(scene.embedded_surfaces[0].uv, uv)
+    frame = frame_of(scene)
+    frame.objects = tuple(scene.objects)
+    Image.new("RGB", (6, 4)).save(tmp_path / "die.png")
+    look = Look.of_table("looks[0]", {"of": "jelly_0", "texture": tmp_path / "die.png"}, ["jelly_0"], [])
+    for times in (0, 1):
+        found = Content.of(frame, 1.0, subdivide=times, looks=[look]).styles.place.reshape(-1, 3, 3)
+        assert len(found) == 12 * 4**times
+        sixth = np.floor(found[..., :2].mean(axis=1) * (3, 2)).astype(int)  # no triangle reaches into two of them
+        assert np.all(found[..., :2] * (3, 2) >= sixth[:, None] - 1e-5)
+        assert np.all(found[..., :2] * (3, 2) <= sixth[:, None] + 1 + 1e-5)
+        assert len(np.unique(sixth, axis=0)) == 6
+    (surface,) = Parts(frame, ["jelly_0"]).surfaces
+    assert len(surface.uv) > 8  # a vertex for each place of each corner
+    assert np.allclose(surface.uv[surface.embedded], uv)
+    points = surface.points(scene.position)
+    mesh = read_surface(tmp_path / "die.obj")
+    assert np.allclose(points[surface.embedded], mesh.vertices[mesh.triangles])
+
+
+def test_places_on_a_texture_that_do_not_fit_are_refused():
+    scene = Scene(dim=3)
+    balls = scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0]], radius=0.1)
+    with pytest.raises(
+        SceneError, match=r"embedded_surfaces\[0\]\.uv: shape \(3, 2\) does not fit; it must be \(1, 3, 2\)"
+    ):
+        scene.add_embedded_surface(balls[:, None], [[1.0]] * 3, [[0, 1, 2]], uv=np.zeros((3, 2)))

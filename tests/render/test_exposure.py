@@ -6,7 +6,7 @@ from test_render import FRONT, GREEN, RED, balls, linear, picture, placed, proje
 
 from taichi_sim import SceneError, Sphere
 from taichi_sim.device import backend
-from taichi_sim.render.exposure import Mean
+from taichi_sim.render.exposure import Exposure, Mean
 
 pytestmark = pytest.mark.once
 
@@ -36,6 +36,16 @@ def test_what_moves_is_spread_along_its_way():
     assert other.sum() == pytest.approx(one.sum(), rel=0.05)
     rows = [np.flatnonzero(part.max(axis=1) > 0.02 * one.max()) for part in (one, other)]
     assert abs(len(rows[1]) - len(rows[0])) <= 2
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 11, 12, 16, 100, 256])
+def test_moments_lie_evenly_about_the_time_of_the_frame(n):
+    """Each is in the middle of its own n-th of the time that the shutter is open."""
+    frame = balls([[1.0, 0.0]], 0.5, [RED])
+    frame.velocity[0] = (2.0, 0.0)
+    exposure = Exposure(shutter=0.5, aperture=0.1, exposures=n)
+    places = sorted(float(moment.position[0, 0]) for moment, _ in exposure.moments(frame))
+    assert places == pytest.approx((1.0 + (np.arange(n) + 0.5) / n - 0.5).tolist(), abs=1e-12)
 
 
 def test_a_lens_is_sharp_at_its_target_alone():
@@ -81,7 +91,14 @@ def test_the_mean_of_pictures_is_that_of_their_light():
 
 @pytest.mark.parametrize(
     ("given", "says"),
-    [({"shutter": -1.0}, "shutter"), ({"aperture": float("nan")}, "aperture"), ({"exposures": 0}, "exposures")],
+    [
+        ({"shutter": -1.0}, "shutter"),
+        ({"shutter": 1e5}, "shutter"),
+        ({"aperture": 1e4}, "aperture"),
+        ({"aperture": 0.1}, "aperture: 0.1 is for scenes in 3D; in 2D all is as far away"),
+        ({"aperture": float("nan")}, "aperture"),
+        ({"exposures": 0}, "exposures"),
+    ],
 )
 def test_refused(given, says):
     with pytest.raises(SceneError, match=says):

@@ -491,6 +491,8 @@ def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one()
     about = {"name": "motion", "unit": "m", "value": 0.8, "method": "verlet", "step_length": 1e-3}
     line = next(budget.Budget(**about, step=3e-16, single=2e-6, meshed=False).lines())
     assert "800.000 +- 0.002 mm (single precision), step exact to rounding." in line
+    line = next(budget.Budget(**about | {"value": 34.0, "unit": "N"}, mesh=2.0, step=0.0295, single=3e-6).lines())
+    assert "34 +- 2 N (mesh), +- 0.0295 N (step), +- 3.00e-06 N (single precision)." in line  # one unit in one value
     line, more, *_ = budget.Budget(**about, step=1e-4, single=2e-3, meshed=False, precision="f64").lines()
     assert "the scene's own settings in double precision:" in line
     assert line.endswith("800.00 +- 0.10 mm (step).")

@@ -77,6 +77,11 @@ class Page:
         """What the panel says."""
         return next((one["content"] for one in self.parts.values() if one.get("type") == "GuiHtmlMessage"), "")
 
+    @property
+    def labels(self) -> list[str]:
+        """Labels of all buttons of the panel."""
+        return [label for one in self.parts.values() for label in one.get("options", ())]
+
     def press(self, label: str) -> None:
         """Press a button of the panel."""
         uuid = next(k for k, one in self.parts.items() if label in one.get("options", ()))

@@ -10,6 +10,7 @@ import sys
 import time
 import urllib.error
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -90,6 +91,54 @@ def test_only_those_who_know_the_token_are_admitted():
         other.close()
         assert other.token != server.token
         assert len(server.token) > 20
+
+
+def raw(port: int, request: bytes) -> bytes:
+    """First line of what a server answers to these bytes; nothing comes after those of a request that has no end."""
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as line:
+        line.sendall(request)
+        if not request.endswith(b"\r\n\r\n"):
+            line.shutdown(socket.SHUT_WR)
+        return line.makefile("rb").readline()
+
+
+def test_what_strangers_send_is_refused_without_a_word(capfd):
+    """Also a page that knows the token, and talks nonsense, fills no terminal."""
+    from websockets.exceptions import ConnectionClosed
+
+    with WebServer(port=0) as server:
+        for path in (b"/\xe9/", b"/\xff\xfe", b"/" + b"\xc3\xa9" * 9):
+            assert b" 403 " in raw(server.port, b"GET " + path + b" HTTP/1.1\r\nHost: x\r\n\r\n"), path
+        for request in (
+            b"\x16\x03\x01\x00\xee",
+            b"GET /" + server.token.encode(),
+            b"\r\n\r\n",
+            b"POST / HTTP/1.1\r\n\r\n",
+        ):
+            raw(server.port, request)
+        with Page(server.url) as page:
+            page.until(lambda: server.watched)
+            page.socket.send(b"\xc1 no msgpack")
+            page.until(lambda: not server.watched)
+            with pytest.raises(ConnectionClosed):
+                page.socket.send(b"more")
+        assert answer(server.url) == 200
+    assert capfd.readouterr() == ("", "")
+
+
+def test_servers_that_start_at_one_time_have_a_token_each(monkeypatch):
+    plain = viser.ViserServer
+
+    def slow(*arguments, **options):
+        time.sleep(0.2)  # until the other one has begun, too
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(viser, "ViserServer", slow)
+    with ThreadPoolExecutor(2) as threads:
+        servers = [one.result() for one in [threads.submit(WebServer, port=0) for _ in range(2)]]
+    assert [answer(one.url) for one in servers] == [200, 200]
+    for one in servers:
+        one.close()
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
@@ -299,7 +348,10 @@ def test_two_pages_show_and_do_the_same(played, page):
         other.press("Reset")
         played.until(lambda: played.time == 0.0)
         page.until(lambda: "0.000 s" in page.figures)
-        page.press("Pause")
+        for one in (page, other):  # the button says what it does
+            one.until(lambda one=one: "Resume" in one.labels)
+        page.press("Resume")
+        page.until(lambda: "Pause" in page.labels)
         played.until(lambda: played.time > 0.1)
 
 
@@ -427,6 +479,21 @@ def test_a_page_hears_why_nothing_moves_any_more():
         view.__exit__(type(error), error, None)
     page.until(lambda: page.said)
     assert page.said[0]["body"] == "ball 3 left the world"
+
+
+@pytest.mark.parametrize(("error", "says"), [
+    (None, "The run has ended."),
+    (KeyboardInterrupt(), "It was stopped by Ctrl-C."),
+    (ValueError("balls"), "An error, which the program printed, ended it."),
+])  # fmt: skip
+def test_a_page_says_what_it_waits_for_and_that_a_run_has_ended(error, says):
+    with ts.LiveView(port=0) as view, Page(view.url) as page:
+        page.until(lambda: any("compiled" in str(one.get("_markdown", one)) for one in page.parts.values()))
+        view.show(sheet(3))
+        page.until(lambda: "/surface0_own0" in page.parts and view._server.watched)
+        view.__exit__(None if error is None else type(error), error, None)
+        page.until(lambda: page.said)
+    assert page.said[0]["body"] == says
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taichi_sim.analysis.richardson import error_from
-from taichi_sim.common.quantities import EXACT, ROUNDED, measured
+from taichi_sim.common.quantities import EXACT, ROUNDED, measured, measures
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step
 from taichi_sim.reports.speed_error.reference import Reference
@@ -54,7 +54,9 @@ class Budget:
         words = [
             measured(self.value, told[0][0], self.unit, told[0][1]) if told else measured(self.value, unit=self.unit)
         ]
-        words += [f"+- {measured(value, unit=self.unit, source=name)}" for value, name in told[1:]]
+        words += [
+            f"+- {measures([self.value, value], [None, None], self.unit)[1]} ({name})" for value, name in told[1:]
+        ]
         if exact := [name for _, name in known[len(told) :]]:
             words.append(f"{' and '.join(exact)} {ROUNDED}")
         words += [f"{name} not known" for name, value in parts.items() if value is None]
@@ -97,6 +99,8 @@ def made(
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
     meshed = bool(trials.scene.n_springs or trials.scene.n_volumes())
     precision = trials.scene.settings.get("precision") or "f32"
+    if "f32" not in trials.plan.precisions:  # nothing runs in it
+        precision = "f64"
     return Budget(
         *(compared.sampled(name, parts), compared.unit, value, method, step.seconds, off),
         single=rounded,

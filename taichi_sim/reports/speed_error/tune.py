@@ -99,6 +99,7 @@ def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, t
     if off <= EXACT * reference.motion:
         found = "0, exact to rounding"
     yield f"{'found':12} {found}, the largest of {reference.parts} sample times"
+    yield f"{'':12} not seen: peaks and errors between these times"
     yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
 
