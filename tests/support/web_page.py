@@ -73,6 +73,11 @@ class Page:
             time.sleep(0.02)
 
     @property
+    def closed(self) -> bool:
+        """True if the server has ended the connection."""
+        return not self._thread.is_alive()
+
+    @property
     def figures(self) -> str:
         """What the panel says."""
         return next((one["content"] for one in self.parts.values() if one.get("type") == "GuiHtmlMessage"), "")
