@@ -11,21 +11,18 @@ from taichi_sim.analysis.touching import may_touch
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["FRAME_STEP", "Choice", "Demand", "choose"]
+__all__ = ["FRAME_STEP", "LONGEST_STEP", "Choice", "Demand", "choose"]
 
 FRAME_STEP = 1.0 / 120.0  # s, of an implicit method for pictures: half a frame of 60 a second
-LONGEST_STEP = 1e-3  # s, of Verlet
+LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
 CHEAP = 0.01  # s of work a simulated second, that nobody waits for
 WORTH = 1.25  # times faster than Verlet, from which an implicit method is worth the motion that it damps
 WORTH_TOUCHING = 2.0  # the same where contacts act, which the estimate knows least of
-FEWEST_PASSES, PASSES_PER_RADIAN = (
-    6.0,
-    0.12,
-)  # of a stage; the angle is the step times the frequency of the fastest motion
+FEWEST_PASSES = 6.0  # of a stage
+PASSES_PER_RADIAN = 0.12  # more, of the step times the frequency of the fastest motion
 RIGID = 200.0  # rad: levels carry what is faster across a body, so that it needs no more passes than at that angle
-FOLDING = (
-    2.2  # passes per radian of sheets that fold on something: measured 33 to 340 a stage of 20^2 to 96^2 balls of silk
-)
+# passes per radian of sheets that fold on something: measured 33 to 340 a stage of 20^2 to 96^2 balls of silk
+FOLDING = 2.2
 SECOND_ORDER = 4.0  # times the work of implicit Euler: two stages of TR-BDF2, each solved thirty times finer
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from taichi_sim.analysis.accuracy import layers
-from taichi_sim.analysis.choice import Demand, choose
+from taichi_sim.analysis.choice import LONGEST_STEP, Demand, choose
 from taichi_sim.analysis.element_rates import declared_rates, undeclared
 from taichi_sim.analysis.late_impacts import late_rate
 from taichi_sim.analysis.limits import StabilityLimit
@@ -42,7 +42,6 @@ WORDS: dict[str, tuple[Any, ...]] = {
     "driver": ("auto", "fused", "parallel"),
     "spin": ("auto", True, False),
 }
-LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
 # s, the longest step between two estimates of the error; it divides frames of 24, 30 and 60 a second
 STRIDE = 1.0 / 240.0
 MOST_PARTS_GIVEN = 2**31 - 1  # substeps, or iterations

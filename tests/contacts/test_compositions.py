@@ -1,4 +1,4 @@
-"""What is built of several parts keeps the laws of each: solids that collide, fabrics that tear, Jacobi, seams of meshes."""
+"""Compositions of several parts keep the laws of each: solids that collide, fabrics that tear, Jacobi, seams of meshes."""
 
 import numpy as np
 import pytest

@@ -30,7 +30,7 @@ def spin(sim: ts.Simulation, balls: slice) -> np.ndarray:
 
 @pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.long), pytest.param(3, marks=pytest.mark.slow)])
 def test_a_body_turns_on_though_its_stages_are_solved_roughly(dim) -> None:
-    """What was left of stages of a tolerance of 2 % took 7e-3 of the angular momentum of this sheet."""
+    """A free sheet keeps its angular momentum, of which the unsolved rest of stages (tolerance 2 %) took 7e-3 before."""
     scene = twirled(dim)
     free = slice(0, 15) if dim == 2 else slice(None)
     with simulate(scene, integrator=TRBDF2(0.02), dt=1 / 240, contacts="off") as sim:

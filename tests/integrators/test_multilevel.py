@@ -89,7 +89,7 @@ def torn_cloth_and_jelly():
 @pytest.mark.slow
 @pytest.mark.parametrize("device", [False, True])
 def test_symmetric_and_positive(device, monkeypatch):
-    """Where springs are torn and balls pinned, too, and as a device does it."""
+    """The preconditioner is symmetric and positive, also where springs are torn and balls pinned, and as a device sums."""
     monkeypatch.setattr(reductions, "on_device", lambda: device)
     with simulate(
         torn_cloth_and_jelly(),

@@ -29,7 +29,7 @@ validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[2]))).then(
 
 
 class Player:
-    """What a player of a file shows at a time: mixes of shapes and places of nodes, linear between their keys."""
+    """Contents of a file as a player shows them at a time: mixes of shapes and places of nodes, linear between their keys."""
 
     def __init__(self, path):
         data = path.read_bytes()

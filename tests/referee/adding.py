@@ -56,7 +56,7 @@ class Change:
 
     @property
     def same_place(self) -> bool:
-        """Whether directions and speeds stay as they are."""
+        """True if directions and speeds stay as they are."""
         return self.turn is None and self.velocity is None and self.length == self.time == 1.0
 
 
@@ -99,7 +99,7 @@ class Adding:
             to.set_group(new, self.group)
 
     def whole(self, corners: np.ndarray) -> np.ndarray:
-        """Which rows of ball numbers are all kept."""
+        """Mask of the rows of ball numbers that are all kept."""
         return (self.number[corners] >= 0).all(axis=1) if len(corners) else np.zeros(0, dtype=bool)
 
     def springs(self) -> None:

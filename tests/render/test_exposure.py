@@ -20,7 +20,7 @@ def _backend():
 
 
 def redness(image):
-    """How much redder than the background (h, w) pixels are."""
+    """Excess of red over the background of (h, w) pixels."""
     light = linear(image)
     return np.maximum(light[..., 0] - light[..., 1], 0.0)
 

@@ -79,7 +79,7 @@ class Page:
 
     @property
     def figures(self) -> str:
-        """What the panel says."""
+        """Text of the panel."""
         return next((one["content"] for one in self.parts.values() if one.get("type") == "GuiHtmlMessage"), "")
 
     @property

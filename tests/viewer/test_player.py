@@ -1,4 +1,4 @@
-"""What can be done with a simulation that is watched, and what window and pages have in common. Nothing is compiled."""
+"""Player: commands on a simulation that is watched, which the window and browser pages share. Nothing is compiled."""
 
 import numpy as np
 import pytest

@@ -310,7 +310,7 @@ def page(played):
 
 
 def places(played: Played) -> list:
-    """Where the balls are on a page: its middle and unit are those of all balls' box."""
+    """Places of balls on a page, in units of the box of all balls, from its middle."""
     centre, size = np.array([0.5, 0.5]), np.hypot(1.2, 1.2)
     return [[*((x - centre) / size), 0.0] for x in played.position]
 
