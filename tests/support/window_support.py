@@ -15,17 +15,24 @@ import numpy as np
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 WAIT = 120.0  # s; compiling on a busy machine
 
-CHILD = """
+# a simulation in a child process that prints the time and places of each frame
+LOGGED = """
 import json, sys
 import numpy as np
 import taichi_sim as ts
-from taichi_sim.viewer import window
 
 class Logged(ts.Simulation):
     def frame(self):
         frame = super().frame()
         print(json.dumps([frame.time, frame.position.tolist()]), flush=True)
         return frame
+
+"""
+
+CHILD = (
+    LOGGED
+    + """
+from taichi_sim.viewer import window
 
 def two():
     scene = ts.Scene(dim=2)
@@ -42,6 +49,7 @@ def simulate(forces):
 
 window.show(simulate, fps=30, size=(320, 240), say=lambda line: print(json.dumps(line), flush=True))
 """
+)
 
 
 def _heed_interrupts() -> None:

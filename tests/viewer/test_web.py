@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from window_support import LOGGED
 
 import taichi_sim as ts
 from taichi_sim.analysis.frame import Frame
@@ -30,16 +31,10 @@ Page = support.Page
 HAS_BROWSER = support.BROWSER is not None and importlib.util.find_spec("playwright") is not None
 needs_browser = pytest.mark.skipif(not HAS_BROWSER, reason="Chromium or playwright is not installed")
 
-CHILD = """
-import json, sys
-import taichi_sim as ts
+CHILD = (
+    LOGGED
+    + """
 from taichi_sim.viewer import web
-
-class Logged(ts.Simulation):
-    def frame(self):
-        frame = super().frame()
-        print(json.dumps([frame.time, frame.position.tolist()]), flush=True)
-        return frame
 
 def simulate(forces):
     scene = ts.Scene(dim=2)
@@ -49,6 +44,7 @@ def simulate(forces):
 
 web.show(simulate, fps=30, port=0, title="three balls", say=lambda line: print(json.dumps(line), flush=True))
 """
+)
 
 
 # Who is admitted ---------------------------------------------------------------------------------------------------
