@@ -57,6 +57,7 @@ class Walls(Surfaces):
             False  # whether slots hold colliders that a ball may come to; for implicit stages, see HeldBalls
         )
         self.touching = fields.integers(model.n)  # surfaces that a ball touches: most touch none and are passed over
+        self.facing = fields.reals(model.n)  # least cosine between one's normal and the sum of those before it, or 0
         if plan.bends:
             vector = ti.types.vector(model.dim, fields.real)
             # of a fast ball that bounces, see kernels.contacts.bent_paths: part of the step that is left then, else 0; way until
@@ -117,6 +118,7 @@ class Walls(Surfaces):
         count = 0
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
         solving = 0
+        facing, normals = 0.0 * self.model.radius[i], ti.Vector.zero(float, self.model.dim)
         # A ball that touched no plane has forgotten all of them. With colliders a place may have gone to another one since.
         touched = True
         if ti.static(not self.has_colliders):
@@ -133,6 +135,8 @@ class Walls(Surfaces):
             clearance = ti.min(clearance, gap)
             if gap <= self.reach_of(i, touch, crowded):
                 count += 1
+                facing = ti.min(facing, self.normal(i, k).dot(normals))
+                normals += self.normal(i, k)
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 fast = fast or u < -FAST_APPROACH * self.threshold[0]
                 self.contact[c].role = self._role(gap, u, touch, crowded, True)
@@ -146,6 +150,7 @@ class Walls(Surfaces):
                 self.forget(c)
                 self.contact[c].role = LEAVING
         self.touching[i] = count
+        self.facing[i] = facing
         if ti.static(not self.has_colliders):
             self.clearance[i] = clearance
         if count > 1:
@@ -273,8 +278,11 @@ class Walls(Surfaces):
         if ti.static(solver.model.spins):
             spin = solver.state.spin[i]
         w = self.model.inverse_mass[i]
-        sweeps, gain = ti.select(self.touching[i] > 0 and w > 0.0, 1, 0), 0.0 * w + 1.0
-        sweep, facing, normals, scale = 0, 0.0 * w, ti.Vector.zero(float, self.model.dim), v.norm()
+        sweeps, sweep, gain = ti.select(self.touching[i] > 0 and w > 0.0, 1, 0), 0, 0.0 * w + 1.0
+        if ti.static(solver.in_turn):
+            if sweeps > 0 and self.facing[i] < 0.0:
+                sweeps = MOST_SWEEPS
+        scale = v.norm()
         while sweep < sweeps:
             changed = 0.0 * w
             for k in range(self.count):
@@ -286,21 +294,19 @@ class Walls(Surfaces):
                     angular += t
                     if ti.static(solver.in_turn):
                         v += w * p
-                        changed = ti.max(changed, w * p.norm())
                         if ti.static(solver.model.spins):
                             spin += (self.model.spin_response(i) * w) * t
-                        if sweep == 0:
-                            facing = ti.min(facing, n.dot(normals))
-                            normals += n
-                            scale += w * self.contact[i * self.count + k].impulse
+                        if sweeps > 1:
+                            changed = ti.max(changed, w * p.norm())
+                            if sweep == 0:
+                                scale += w * self.contact[i * self.count + k].impulse
             sweep += 1
             if ti.static(solver.in_turn):
-                if sweep == 1 and facing < 0.0:
-                    sweeps = MOST_SWEEPS
+                if sweeps > 1:
                     if ti.static(not self.model.has_friction):
-                        gain = contact_law.over_relaxation(facing)
-                if changed <= self.rounding * scale:
-                    sweeps = sweep
+                        gain = contact_law.over_relaxation(self.facing[i])
+                    if changed <= self.rounding * scale:
+                        sweeps = sweep
         return total, angular
 
     @ti.func
