@@ -16,42 +16,6 @@ pytestmark = pytest.mark.long_in("f32")
 H = 1e-3
 
 
-def touching(sim):
-    """All pairs (i, j), i < j, that the lists name as touching."""
-    lists, n = sim.parts.contacts.pairs, sim.scene.n_balls
-    first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
-    listed = [(i, int(j)) for i in range(n) for j in other[first[i] : first[i] + number[i]]]
-    return [(min(both), max(both)) for both in listed]
-
-
-def brute_force(x, radius):
-    d = np.linalg.norm(x[:, None] - x[None], axis=2)
-    return {(i, j) for i, j in zip(*np.nonzero(d < radius[:, None] + radius[None])) if i < j}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("far", [0.0, 1e3, 1e5], ids=["together", "apart", "far_apart"])
-@each_dim
-@pytest.mark.long_where(dim=2)
-def test_rows_side_by_side_or_spread(dim, far):
-    """Crowds that lie so far apart that their box has more cells than the table: the same pairs, each once."""
-    rng = np.random.default_rng(3)
-    n = 240
-    x = rng.uniform(-1.0, 1.0, (n, dim)) * (1.0 if dim == 2 else 0.7) + np.outer(
-        rng.integers(-2, 3, n) * far, np.ones(dim)
-    )
-    scene = ts.Scene(dim=dim)
-    scene.add_balls(x, radius=rng.uniform(0.02, 0.2, n))
-    with simulate(scene, VARIANTS[1], dt=H) as sim:
-        sim.step(0)
-        found, dense = touching(sim), int(sim.parts.contacts.pairs.grid.dense[0])
-        x = sim.position
-    assert dense == (1 if far == 0.0 and dim == 2 else 0)
-    assert len(found) == len(set(found))
-    assert set(found) == brute_force(x, scene.radius)
-    assert len(found) > n // 2
-
-
 def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
     """One large ball makes the cells so wide that hundreds of small ones share one; enough of them to keep two threads busy."""
     monkeypatch.setattr("taichi_sim.contacts.grid.FEWER_CANDIDATES", np.inf)  # all in one level
