@@ -178,8 +178,8 @@ def turning_scale(scene):
     ],
 )
 def test_pairs_part_as_two_bodies_do_however_fast(dim, restitution, friction):
-    """Whatever their masses, and where one is shifted by several radii, from where they touched, though impacts are found up to a
-    step late: none passes, none takes another direction."""
+    """Whatever their masses, and where one is shifted by several radii: none passes, none takes another direction. What moves by
+    less than a radius a step goes on from where it touched, though impacts are found up to a step late."""
     step = 1e-3
     scene, balls, at, when, after, speed = encounters(dim, 300, step, restitution, friction)
     with simulate(scene, dt=step, substeps=1) as sim:
@@ -190,8 +190,9 @@ def test_pairs_part_as_two_bodies_do_however_fast(dim, restitution, friction):
         assert error(sim.angular_momentum(), turning, turning_scale(scene)) < (1e-14 if F64 else 1e-6)
     assert off.max() < (1e-9 if F64 else 2e-2)
     assert np.median(off) < (1e-11 if F64 else 1e-4)
-    assert np.median(aside) < (1e-11 if F64 else 1e-4)
-    assert aside.max() < (1e-9 if F64 else 1e-2)
+    slow = np.linalg.norm(scene.velocity[balls], axis=2).max(axis=0) * step < scene.radius.min()
+    assert slow.sum() > 60
+    assert aside[:, slow].max() < (1e-12 if F64 else 1e-4)
 
 
 @pytest.mark.slow
