@@ -45,20 +45,6 @@ def lay_side_by_side(monkeypatch):
     return lambda side_by_side: monkeypatch.setattr(pairs, "on_device", lambda: side_by_side)
 
 
-@pytest.mark.long
-def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
-    """Some balls have more neighbours than places of their own."""
-    found = []
-    for side_by_side in (False, True):
-        lay_side_by_side(side_by_side)
-        with simulate(heap(2), ("gather", "fused"), dt=H, contacts="jacobi") as sim:
-            sim.step(30)
-            assert sim.parts.contacts.pairs.interleaved is side_by_side
-            assert sim.parts.contacts.pairs.used[0] > 0
-            found.append(np.hstack([sim.position, sim.velocity]))
-    np.testing.assert_array_equal(*found)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("saved", [False, True], ids=["in_pieces", "side_by_side"])
 def test_a_saved_pile_goes_on_with_lists_in_another_layout(lay_side_by_side, tmp_path, saved):

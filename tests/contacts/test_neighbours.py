@@ -9,7 +9,7 @@ from physics_support import F64, VARIANTS, each_dim, simulate
 
 import taichi_sim as ts
 from taichi_sim.common import memory
-from taichi_sim.contacts import pairs, sticks
+from taichi_sim.contacts import sticks
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -79,38 +79,6 @@ def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
     with simulate(scene, dt=H) as sim:
         sim.step(2)
         assert sim.parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
-
-
-@pytest.mark.long
-def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
-    """A patch of discs that closes up, with hardly any room at first: what found too little is repeated, spin and all."""
-    i, j = np.divmod(np.arange(100), 10)
-    x = np.stack([i + 0.5 * j, np.sqrt(0.75) * j], axis=1) * 0.26
-    x -= x.mean(axis=0)
-    scene = ts.Scene(dim=2)
-    scene.add_balls(x, radius=0.1)
-    monkeypatch.setattr(pairs, "LINKS_PER_BALL", {2: 1})
-    monkeypatch.setattr(pairs, "POOL_LINKS", 0)
-    spin = np.random.default_rng(0).standard_normal((100, 1))
-    settings = {"dt": H, "spin": True, "contact_iterations": 1}
-    with simulate(scene, **settings) as sim:
-        first = sim.parts
-        sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
-        steps = 0
-        while sim.parts is first:
-            sim.step(20)
-            steps += 20
-        assert 20 < steps < 300
-        assert first.fields._tree is None  # the old memory is free
-        after = sim.position, sim.snapshot().surface_speed
-    monkeypatch.undo()
-    with simulate(scene, **settings) as sim:
-        first = sim.parts
-        sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
-        sim.step(steps)
-        assert sim.parts is first
-        assert np.allclose(sim.position, after[0], rtol=0.0, atol=1e-13 if F64 else 1e-6)
-        assert np.array_equal(sim.snapshot().surface_speed, after[1])
 
 
 @pytest.mark.slow
