@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
-from taichi_sim.scene.neo_hookean import CANCELLING, MOST_RATIO, STRETCHED, density, lame
+from taichi_sim.scene.neo_hookean import CANCELLING, STRETCHED, columns, density, lame
 from taichi_sim.scene.part import Columns, Element
 
 __all__ = [
@@ -63,19 +63,14 @@ class BrickMethods:
         dim = self.dim
         ij = validation.corners("bricks.corners", corners, self.n_balls, 2**dim)
         b = len(ij)
-        modulus = validation.per_item("bricks.young_modulus", young_modulus, b, positive=True)
-        ratio = validation.per_item("bricks.poisson_ratio", poisson_ratio, b, low=0, high=MOST_RATIO[dim])
-        loss = validation.per_item("bricks.viscosity", viscosity, b, low=0)
+        material = columns("bricks", b, dim, young_modulus, poisson_ratio, viscosity)
         if rest_size is None:
             size = _present_size(self.position[ij])
         else:
             size = validation.vectors("bricks.rest_size", rest_size, b, dim)
             for k in np.flatnonzero((size <= 0).any(axis=1)):
                 raise SceneError(f"bricks.rest_size[{k}]", size[k], "positive")
-        first = len(self.bricks)
-        columns = {"young_modulus": modulus, "poisson_ratio": ratio, "viscosity": loss, "rest_size": size}
-        self.tables["bricks"].append(b, corners=ij, **columns)
-        return np.arange(first, first + b, dtype=np.int32)
+        return self.tables["bricks"].append(b, corners=ij, rest_size=size, **material)  # type: ignore[no-any-return]
 
 
 def _signs(dim: int) -> Floats:

@@ -83,10 +83,8 @@ class CellMethods:
             raise SceneError(f"cells.together[{k}]", shared[k], "a whole number")
         before = int(self.cells_together.max(initial=-1)) + 1
         shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
-        first = len(self.cells)
         columns = {"bulk_modulus": modulus, "crush_modulus": crush, "rest_volume": rest, "together": shared}
-        self.tables["cells"].append(c, corners=ij, **columns)
-        return np.arange(first, first + c, dtype=np.int32)
+        return self.tables["cells"].append(c, corners=ij, **columns)  # type: ignore[no-any-return]
 
 
 class _Cells(Columns, Element):

@@ -39,9 +39,9 @@ class Table:
         self.names = tuple(columns)
         self.rows = 0
 
-    def append(self, n: int, **columns: NDArray) -> None:
-        """Add n rows: every column, each of shape (n, ...). A table that was empty takes the arrays, which are its own from now
-        on."""
+    def append(self, n: int, **columns: NDArray) -> NDArray[np.int32]:
+        """Add n rows, every column of shape (n, ...), and return their numbers (n,). A table that was empty takes the arrays,
+        which are its own from now on."""
         rows = self.rows + n
         self._views.clear()
         for name, new in columns.items():
@@ -59,6 +59,7 @@ class Table:
             old[self.rows : rows] = new
             sealed(old)
         self.rows = rows
+        return np.arange(rows - n, rows, dtype=np.int32)
 
     def cut(self, n: int) -> None:
         """Keep the first n rows; those after them may have been read, so what is added next goes elsewhere."""

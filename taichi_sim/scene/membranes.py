@@ -77,10 +77,8 @@ class MembraneMethods:
             raise SceneError("membranes.shear", says="is missing; only where warp and weft are alike it has a default")
         angle = 0.5 * (one - both) if shear is None else validation.per_item("membranes.shear", shear, t, low=0)
         loss = validation.per_item("membranes.damping", damping, t, low=0)
-        first = len(self.membranes)
         columns = {"warp": one, "weft": other, "shear": angle, "coupling": both, "damping": loss}
-        self.tables["membranes"].append(t, corners=ij, rest=flat, **columns)
-        return np.arange(first, first + t, dtype=np.int32)
+        return self.tables["membranes"].append(t, corners=ij, rest=flat, **columns)  # type: ignore[no-any-return]
 
 
 def require_coupling(where: str, coupling: ArrayLike, warp: ArrayLike, weft: ArrayLike) -> None:

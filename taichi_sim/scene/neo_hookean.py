@@ -5,14 +5,27 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["CANCELLING", "MOST_RATIO", "STRETCHED", "constants", "density", "in_plane_strain", "lame"]
+from taichi_sim.common import validation
+
+__all__ = ["CANCELLING", "MOST_RATIO", "STRETCHED", "columns", "constants", "density", "in_plane_strain", "lame"]
 
 Floats = NDArray[np.float64]
 MOST_RATIO = {2: 0.9996, 3: 0.4999}  # Poisson's, by the dimensions: in 2D that of plane strain with the other
 CANCELLING = 4.0  # times mu: terms of the energy per volume that cancel each other at rest
 STRETCHED = 4.0  # times the stiffness at rest: a face that is stretched to twice its area
+
+
+def columns(
+    table: str, n: int, dim: int, young_modulus: ArrayLike, poisson_ratio: ArrayLike, viscosity: ArrayLike
+) -> dict[str, Floats]:
+    """Columns (n,) of the material of n elements, one or one per element. Raises SceneError that names the table."""
+    return {
+        "young_modulus": validation.per_item(f"{table}.young_modulus", young_modulus, n, positive=True),
+        "poisson_ratio": validation.per_item(f"{table}.poisson_ratio", poisson_ratio, n, low=0, high=MOST_RATIO[dim]),
+        "viscosity": validation.per_item(f"{table}.viscosity", viscosity, n, low=0),
+    }
 
 
 def lame(dim: int, young_modulus: Any, poisson_ratio: Any) -> tuple[Any, Any]:

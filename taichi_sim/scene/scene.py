@@ -225,10 +225,8 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         for name, bits in zip(("group", "mask"), self._groups("balls", group, collides_with)):
             columns[name] = np.full(n, bits, dtype=np.int32)
         columns["material"] = np.full(n, self._material("balls.material", material), dtype=np.int32)
-        first = self.n_balls
-        self.tables["balls"].append(n, **columns)
         self._bodies = max(self._bodies, body)
-        return np.arange(first, first + n, dtype=np.int32)
+        return self.tables["balls"].append(n, **columns)
 
     def _add_ball_columns(
         self,
@@ -306,9 +304,7 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             "break_strain": validation.strains("springs.break_strain", break_strain, m),
         }
         self._may_tear(columns["collides"], columns["break_strain"], rest)
-        first = self.n_springs
-        self.tables["springs"].append(m, **columns)
-        return np.arange(first, first + m, dtype=np.int32)
+        return self.tables["springs"].append(m, **columns)
 
     def add_wall(
         self,

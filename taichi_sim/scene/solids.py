@@ -12,7 +12,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.columns import Column
-from taichi_sim.scene.neo_hookean import CANCELLING, MOST_RATIO, STRETCHED, density, lame
+from taichi_sim.scene.neo_hookean import CANCELLING, STRETCHED, columns, density, lame
 from taichi_sim.scene.part import Columns, Element
 
 __all__ = ["OWN_SHARE", "SOLIDS", "Averages", "SolidMethods", "averages", "operators", "rates_of", "shape_gradients"]
@@ -72,13 +72,8 @@ class SolidMethods:
                 "is flat now; give its rest" if rest is None else "has no volume at rest, or corners in another order"
             )
             raise SceneError(f"solids.corners[{k}]", ij[k], says=says)
-        modulus = validation.per_item("solids.young_modulus", young_modulus, e, positive=True)
-        ratio = validation.per_item("solids.poisson_ratio", poisson_ratio, e, low=0, high=MOST_RATIO[dim])
-        loss = validation.per_item("solids.viscosity", viscosity, e, low=0)
-        first = len(self.solids)
-        columns = {"young_modulus": modulus, "poisson_ratio": ratio, "viscosity": loss, "rest": places}
-        self.tables["solids"].append(e, corners=ij, **columns)
-        return np.arange(first, first + e, dtype=np.int32)
+        material = columns("solids", e, dim, young_modulus, poisson_ratio, viscosity)
+        return self.tables["solids"].append(e, corners=ij, rest=places, **material)  # type: ignore[no-any-return]
 
 
 def shape_gradients(rest: Floats) -> tuple[Floats, Floats]:

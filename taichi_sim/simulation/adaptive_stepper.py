@@ -210,7 +210,7 @@ class AdaptiveStepper(Stepper):
         if not np.isfinite(error):
             self._lost(0 if sample.bad is None else sample.bad)
         self.lost = self.time + self.dt
-        self._warn(
+        self.checks.warn(
             "tolerance",
             f"the tolerance of {self.share / (self.size * self.dt):g} a second cannot be kept from t = {self.lost:.6g} s on: the"
             f" error there is about {error / self.size:.2g} of the scene's size, more than {self._allowed() / self.size:.2g},"
@@ -285,11 +285,11 @@ class AdaptiveStepper(Stepper):
         self.remembers = bool(self.parts.integrator.memory())
         growth = self.monitor.judge(sample)
         if growth is not None:
-            self._warn_of(growth, repeats=False)
+            self.checks.warn_of(growth, repeats=False)
         self.steps += 1
         self.mark = self.end = self.steps
         self.moved = True
-        self._check(self.many)
+        self.checks.after(self.many)
         first = self.taken == self._mark[1] == 0
         self.least = self.many if first else min(self.least, self.many)
         self.most = self.many if first else max(self.most, self.many)
@@ -310,7 +310,7 @@ class AdaptiveStepper(Stepper):
                 f"{number} contacts act at once" if number >= MANY_CONTACTS else "what springs join touches something"
             )
             self.unsure = self.time
-            self._warn(
+            self.checks.warn(
                 "unsure",
                 f"the tolerance is no promise from t = {self.time:.6g} s on, where {what}: whether contacts bounce, stick or"
                 " slide may be decided alike at both steps that are compared. Of 160 such runs 155 kept it, the others were"
@@ -336,7 +336,7 @@ class AdaptiveStepper(Stepper):
     def _lost(self, ball: int) -> None:
         """A ball is where none can be after this step; the one before is kept."""
         self._second.load(FINE, self.dt / self.many)
-        self._fail(ball)
+        self.retry.fail(ball)
 
     # To a snapshot and back ----------------------------------------------------------------------------------------
 

@@ -55,6 +55,9 @@ class Growth(NamedTuple):
     after: float
     sure: bool
 
+    def __str__(self) -> str:
+        return f"from {self.before:.4g} J to {self.after:.4g} J"
+
 
 class EnergyMonitor:
     """Judges samples of one run (see state_probe.StateSample), one after another; `begin` forgets those before.

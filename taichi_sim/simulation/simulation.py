@@ -194,7 +194,7 @@ class Simulation(Reader):
         """Advance by round(duration / dt) steps; duration in seconds."""
         self.step(round(validation.number("duration", duration, low=0) / self.dt))
         if not self._still and self._state is not None:
-            self._stepper.look_at_depth(5)
+            self._stepper.checks.look_at_depth(5)
 
     def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
         """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its
@@ -302,7 +302,11 @@ class Simulation(Reader):
         self._stepper.prime()
         parts = self.parts  # after priming, for which lists may have grown
         return diagnostics.contacts(
-            self._stepper.contact_statistics(), parts.contacts.iterations, self.substeps, fastest, parts.searches()
+            self._stepper.checks.contact_statistics(),
+            parts.contacts.iterations,
+            self.substeps,
+            fastest,
+            parts.searches(),
         )
 
     def penetration(self) -> float:
@@ -334,11 +338,11 @@ class Simulation(Reader):
     def decisions(self) -> list[str]:
         """Decisions made for the run, such as the integrator, and during it, each with the time from which on it holds: shorter
         substeps, more room for contacts."""
-        return [*filter(None, [self.settings.chosen]), *self._stepper.decisions]
+        return [*filter(None, [self.settings.chosen]), *self._stepper.checks.decisions]
 
     def scales(self) -> Scales:
         """Scales by which a run is judged."""
-        return self._stepper.scales()
+        return self._stepper.checks.scales()
 
     def solver(self) -> SolverStatistics | None:
         """Statistics of how well an implicit method solved its stages so far; None for methods that solve nothing."""

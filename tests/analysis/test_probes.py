@@ -8,7 +8,6 @@ import taichi_sim as ts
 from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.plain import plain
 from taichi_sim.common.quantities import measures, plain_number
 from taichi_sim.outputs import export, open_output
 from taichi_sim.render.colouring import Colouring
@@ -131,21 +130,6 @@ def test_a_torn_spring_carries_nothing():
     sample = ProbeSample(scene, scene.position, scene.velocity, torn, lambda: (0.0,) * 4, np.zeros((0, 2)))
     assert scene.probes[0].read(sample) == {"tension": 0.0}
     assert np.isnan(scene.probes[2].read(sample)["max"])
-
-
-def test_saved_scenes_keep_them(tmp_path):
-    scene = boxed(1.0)
-    scene.add_springs([[0, 1]], stiffness=1.0)
-    scene.add_probe("many", "position", balls=np.tile(np.arange(scene.n_balls), 300))  # goes to the .npz
-    scene.add_probe("load", "tension", spring=0)
-    scene.add_probe("all", "strain")
-    scene.add_probe("through", "flux", normal=(1, 2), offset=0.5, balls=[0])
-    scene.add_probe("e", "energy")
-    scene.save(tmp_path / "scene.toml")
-    again = ts.load_scene(tmp_path / "scene.toml")
-    assert (tmp_path / "scene_arrays.npz").is_file()
-    for one, other in zip(scene.probes, again.probes, strict=True):
-        assert (one.name, type(one), plain(one.given)) == (other.name, type(other), plain(other.given))
 
 
 FILE = """format = 1

@@ -11,7 +11,6 @@ from physics_support import (
     CONTACT_CASES,
     EPS,
     F64,
-    each_dim,
     record,
     simulate,
     vector,
@@ -161,51 +160,6 @@ def test_coincident_balls_stay_finite_and_keep_their_centre(hit, who):
         assert np.linalg.norm(hit.x[-1, pair[1]] - hit.x[-1, pair[0]]) > 1e-3  # they do separate
     if who == "zero_rest":
         assert np.array_equal(hit.v[-1, pair], hit.v[0, pair])  # F = -k r is 0 there
-
-
-# Many contacts at once ------------------------------------------------------------------------------------------------
-
-
-@functools.cache
-def crowd_scene(dim, mu):
-    """Three dense crowds of 150 balls that overlap, one for each restitution, far apart and without gravity."""
-    rng = np.random.default_rng(9)
-    n, side = 150, 1.0 if dim == 2 else 0.55
-    scene, crowds = ts.Scene(dim=dim), []
-    for k, e in enumerate((0.0, 0.5, 1.0)):
-        material = scene.add_material(f"e{e}", restitution=e, friction=mu)
-        x, v = rng.uniform(0, side, (n, dim)) + vector(dim, 50.0 * k), rng.normal(size=(n, dim))
-        crowds.append(
-            (e, scene.add_balls(x, radius=R, velocity=v, mass=10 ** rng.uniform(-1, 1, n), material=material))
-        )
-    return scene, crowds
-
-
-@pytest.mark.parametrize(("method", "mu"), [("verlet", 0.0), ("verlet", 0.5), ("symplectic_euler", 0.0)])
-@each_dim
-@pytest.mark.slow
-@pytest.mark.long_where(dim=2)
-@pytest.mark.long_where(method="symplectic_euler")
-@pytest.mark.long_where(mu=0.0)
-def test_a_dense_crowd_never_gains_energy(dim, method, mu):
-    """No step adds kinetic energy, whatever the restitution, with friction and without; momentum is kept (section 6)."""
-    scene, crowds = crowd_scene(dim, mu)
-    m, steps, gains = scene.mass, 150, {}
-    v, turning = [scene.velocity], [np.zeros(scene.n_balls)]
-    with simulate(scene, dt=H, integrator=method) as sim:
-        for _ in range(steps):
-            sim.step()
-            v.append(sim.velocity)
-            turning.append(np.sum(sim.angular_velocity.reshape(len(m), -1) ** 2, axis=1) * R**2)
-    v, turning = np.array(v), np.array(turning)
-    for e, b in crowds:
-        squares = np.sum(v[:, b] ** 2, axis=2) + turning[:, b] * (0.5 if dim == 2 else 0.4)
-        energy = 0.5 * np.sum(m[b] * squares, axis=1)
-        gains[e] = float(np.max(np.diff(energy)) / energy[0])
-        change = m[b] @ (v[-1, b] - v[0, b])
-        size = float(m[b] @ np.linalg.norm(v[0, b], axis=1))
-        assert np.max(np.abs(change)) < (1e-13 if F64 else 1e-13 * 2.0**29) * size * np.sqrt(steps)
-    assert max(gains.values()) < (1e-12 if F64 else 1e-5), f"one step gains, by restitution: {gains}"
 
 
 # Sticks ---------------------------------------------------------------------------------------------------------------

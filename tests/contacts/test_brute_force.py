@@ -18,15 +18,9 @@ SIZES = {
     "one_level": {"equal": 1.0, "1:4": 4.0, "1:30": 30.0},
     "levels": {"1:1000": 1000.0, "1:100": 100.0, "equal": 1.0},
 }
-QUICK = {(2, "fused", "one_level", "ordered"), (3, "parallel", "levels", "ordered"), (2, "fused", "levels", "gather")}
-LONG = {(3, driver, "levels", "gather") for driver in ("fused", "parallel")}  # compile longest
-LONG |= {(2, "parallel", kind, "ordered") for kind in SIZES} | {(dim, "fused", "one_level", "gather") for dim in (2, 3)}
+SLOW = {(2, "fused", "one_level", "ordered"), (3, "parallel", "levels", "ordered")}
 CASES = [
-    pytest.param(
-        *case,
-        id="-".join(map(str, case)),
-        marks=[] if case in QUICK else [pytest.mark.long if case in LONG else pytest.mark.slow],
-    )
+    pytest.param(*case, id="-".join(map(str, case)), marks=pytest.mark.slow if case in SLOW else pytest.mark.long)
     for case in product((2, 3), ("fused", "parallel"), SIZES, ("ordered", "gather"))
 ]
 
@@ -82,7 +76,6 @@ def sizes(rng, ratio):
     return largest * ratio ** -rng.uniform(0.0, 1.0, N) if ratio > 1.0 else np.full(N, largest)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("dim", "driver", "kind", "accumulate"), CASES)
 def test_a_thousand_scenes(dim, driver, kind, accumulate):
     """One compiled scene takes the positions and radii of all, is moved by set_position, by steps within the skin and beyond."""

@@ -39,38 +39,10 @@ def ended(scene, accumulate, steps=30, driver="parallel", **settings):
         )
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.long
-def test_the_same_motion_as_in_blocks(dim):
-    """Only the order of sums differs; a heap makes 1e-16 of it 1e-12 in thirty steps."""
-    scene = heap(dim)
-    here, contacts, plan = ended(scene, "gather")
-    there, others, other_plan = ended(scene, "ordered")
-    assert plan.gathers
-    assert not other_plan.gathers
-    assert contacts.number == others.number > 100
-    assert here == pytest.approx(there, abs=1e-9 if F64 else 2e-2)
-    assert np.median(np.abs(here - there)) < (1e-12 if F64 else 1e-4)
-
-
 @pytest.fixture
 def lay_side_by_side(monkeypatch):
     """Call it with whether lists made from now on lie side by side, as on a device."""
     return lambda side_by_side: monkeypatch.setattr(pairs, "on_device", lambda: side_by_side)
-
-
-@pytest.mark.long
-def test_lists_side_by_side_give_the_same_bits(lay_side_by_side):
-    """Some balls have more neighbours than places of their own."""
-    found = []
-    for side_by_side in (False, True):
-        lay_side_by_side(side_by_side)
-        with simulate(heap(2), ("gather", "fused"), dt=H, contacts="jacobi") as sim:
-            sim.step(30)
-            assert sim.parts.contacts.pairs.interleaved is side_by_side
-            assert sim.parts.contacts.pairs.used[0] > 0
-            found.append(np.hstack([sim.position, sim.velocity]))
-    np.testing.assert_array_equal(*found)
 
 
 @pytest.mark.slow

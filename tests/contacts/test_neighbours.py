@@ -9,47 +9,11 @@ from physics_support import F64, VARIANTS, each_dim, simulate
 
 import taichi_sim as ts
 from taichi_sim.common import memory
-from taichi_sim.contacts import pairs, sticks
+from taichi_sim.contacts import sticks
 
 pytestmark = pytest.mark.long_in("f32")
 
 H = 1e-3
-
-
-def touching(sim):
-    """All pairs (i, j), i < j, that the lists name as touching."""
-    lists, n = sim.parts.contacts.pairs, sim.scene.n_balls
-    first, number, other = (f.to_numpy() for f in (lists.first, lists.touching, lists.link.other))
-    listed = [(i, int(j)) for i in range(n) for j in other[first[i] : first[i] + number[i]]]
-    return [(min(both), max(both)) for both in listed]
-
-
-def brute_force(x, radius):
-    d = np.linalg.norm(x[:, None] - x[None], axis=2)
-    return {(i, j) for i, j in zip(*np.nonzero(d < radius[:, None] + radius[None])) if i < j}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("far", [0.0, 1e3, 1e5], ids=["together", "apart", "far_apart"])
-@each_dim
-@pytest.mark.long_where(dim=2)
-def test_rows_side_by_side_or_spread(dim, far):
-    """Crowds that lie so far apart that their box has more cells than the table: the same pairs, each once."""
-    rng = np.random.default_rng(3)
-    n = 240
-    x = rng.uniform(-1.0, 1.0, (n, dim)) * (1.0 if dim == 2 else 0.7) + np.outer(
-        rng.integers(-2, 3, n) * far, np.ones(dim)
-    )
-    scene = ts.Scene(dim=dim)
-    scene.add_balls(x, radius=rng.uniform(0.02, 0.2, n))
-    with simulate(scene, VARIANTS[1], dt=H) as sim:
-        sim.step(0)
-        found, dense = touching(sim), int(sim.parts.contacts.pairs.grid.dense[0])
-        x = sim.position
-    assert dense == (1 if far == 0.0 and dim == 2 else 0)
-    assert len(found) == len(set(found))
-    assert set(found) == brute_force(x, scene.radius)
-    assert len(found) > n // 2
 
 
 def test_a_crowded_cell_is_sorted_whatever_the_threads_did(monkeypatch):
@@ -115,38 +79,6 @@ def test_few_large_balls_do_not_fill_the_lists_of_small_ones():
     with simulate(scene, dt=H) as sim:
         sim.step(2)
         assert sim.parts.contacts.pairs.number.to_numpy()[:5000].max() == 0
-
-
-@pytest.mark.long
-def test_lists_grow_in_the_middle_of_a_run(monkeypatch):
-    """A patch of discs that closes up, with hardly any room at first: what found too little is repeated, spin and all."""
-    i, j = np.divmod(np.arange(100), 10)
-    x = np.stack([i + 0.5 * j, np.sqrt(0.75) * j], axis=1) * 0.26
-    x -= x.mean(axis=0)
-    scene = ts.Scene(dim=2)
-    scene.add_balls(x, radius=0.1)
-    monkeypatch.setattr(pairs, "LINKS_PER_BALL", {2: 1})
-    monkeypatch.setattr(pairs, "POOL_LINKS", 0)
-    spin = np.random.default_rng(0).standard_normal((100, 1))
-    settings = {"dt": H, "spin": True, "contact_iterations": 1}
-    with simulate(scene, **settings) as sim:
-        first = sim.parts
-        sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
-        steps = 0
-        while sim.parts is first:
-            sim.step(20)
-            steps += 20
-        assert 20 < steps < 300
-        assert first.fields._tree is None  # the old memory is free
-        after = sim.position, sim.snapshot().surface_speed
-    monkeypatch.undo()
-    with simulate(scene, **settings) as sim:
-        first = sim.parts
-        sim.resume(ts.Snapshot(x, -2.0 * x, surface_speed=spin))
-        sim.step(steps)
-        assert sim.parts is first
-        assert np.allclose(sim.position, after[0], rtol=0.0, atol=1e-13 if F64 else 1e-6)
-        assert np.array_equal(sim.snapshot().surface_speed, after[1])
 
 
 @pytest.mark.slow

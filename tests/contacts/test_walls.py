@@ -227,7 +227,8 @@ def test_incline_slides_iff_steeper_than_friction(dim, method, variant):
 @pytest.mark.parametrize("method", METHODS)
 @each_dim
 def test_corner_brings_to_rest_in_two_passes(dim, method):
-    """Walls along every axis, no restitution: a ball thrown into the corner, and one that lies in it."""
+    """Walls along every axis, no restitution: a ball thrown into the corner, and one that lies in it; once they lie there they
+    are still at every step, where a cycle of two would hide from a look at every second one."""
     scene = ts.Scene(dim=dim, gravity=np.full(dim, -G))
     for axis in np.eye(dim):
         scene.add_wall(axis)
@@ -237,29 +238,10 @@ def test_corner_brings_to_rest_in_two_passes(dim, method):
     with simulate(scene, integrator=method, dt=H, contact_iterations=2) as sim:
         sim.step(2)
         assert np.max(np.abs(sim.velocity[0])) < (1e-9 if F64 else 1e-6)
-        sim.step(498)
-        assert np.max(np.abs(sim.velocity)) < (1e-9 if F64 else 1e-6)
-        assert np.max(np.abs(sim.position - R)) < max(1e-5 * R, 4 * EPS)
-
-
-@pytest.mark.slow_where(dim=2)
-@each_dim
-def test_wedge_of_20_degrees_does_not_eject(dim):
-    half = np.radians(10)
-    scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
-    for side in (1.0, -1.0):
-        scene.add_wall(vector(dim, side * np.cos(half), np.sin(half)))
-    rest = R / np.sin(half)
-    scene.add_balls(
-        [vector(dim, 0.0, rest), vector(dim, 0.0, rest + 0.3)], radius=R, velocity=[vector(dim, 0.0, -5.0)] * 2, body=1
-    )
-    with simulate(scene, dt=H) as sim:
-        x, v = record(sim, 1500, 5)
-    assert np.max(v[1:, :, 1]) < 0.1, f"{np.max(v[1:, :, 1]):.3f} m/s up, after 5 m/s down"
-    assert np.max(x[:, 0, 1]) < rest + 0.01 * R
-    speed = np.max(np.abs(v[-1]))
-    assert speed < (1e-9 if F64 else 1e-5), f"{speed:.2e} m/s where it should rest"
-    assert np.max(np.abs(x[-1, :, 1] - rest)) < 0.1 * R
+        sim.step(198)
+        x, v = record(sim, 60)
+    assert np.max(np.abs(v)) < (1e-12 if F64 else 1e-6)
+    assert np.max(np.abs(x - R)) < max(1e-5 * R, 4 * EPS)
 
 
 @pytest.mark.slow_where(dim=2)
@@ -281,20 +263,6 @@ def test_two_coplanar_wall_pieces_act_as_one(dim, method):
             ends.append(record(sim, 300, 20))
     assert np.max(np.abs(ends[0][0] - ends[1][0])) < (1e-9 if F64 else 1e-5)
     assert np.max(np.abs(ends[0][1] - ends[1][1])) < (1e-9 if F64 else 1e-3)
-
-
-@pytest.mark.slow_where(method=["symplectic_euler", "rk4"])
-@pytest.mark.parametrize("method", METHODS)
-def test_a_ball_that_lies_in_a_corner_stays_still_at_every_step(method):
-    """Once it lies there: a cycle of two steps would hide from a look at every second one."""
-    scene = ts.Scene(dim=2, gravity=(-G, -G))
-    for axis in np.eye(2):
-        scene.add_wall(axis)
-    scene.add_balls([[R + 0.02, R + 0.04]], radius=R, velocity=[-1.0, -1.0])
-    with simulate(scene, integrator=method, dt=H) as sim:
-        x, v = record(sim, 120)
-    assert np.max(np.abs(v[60:])) < (1e-12 if F64 else 1e-6)
-    assert np.max(np.abs(x[60:] - R)) < max(1e-5 * R, 4 * EPS)
 
 
 # Springs that bounce ---------------------------------------------------------------------------------------------------
@@ -335,49 +303,30 @@ def test_stiff_springs_that_bounce_keep_their_energy(forces):
         assert sim.energy().total == pytest.approx(start, rel=5e-3)
 
 
-@pytest.mark.parametrize("damping", [0.0, 3.0])
-def test_what_impulse_probes_of_all_walls_sum_is_what_a_bouncing_spring_lost(damping):
+@pytest.mark.parametrize(
+    ("damping", "brick"), [(0.0, False), (3.0, False), pytest.param(3.0, True, marks=pytest.mark.slow)]
+)
+def test_what_impulse_probes_of_all_walls_sum_is_what_bodies_lost(damping, brick):
+    """Of a spring that bounces, and, beside damped ones, of a brick that shares balls with springs."""
     scene = ts.Scene(dim=2, gravity=(0, -7))
     scene.add_material("rubber", restitution=0.6, friction=0.2)
-    scene.add_balls(
-        [[0.3, 0.4], [0.6, 0.5]], radius=0.04, mass=[1.2, 2.5], velocity=[[3, -2], [-1, 4]], material="rubber"
-    )
+    pair, mass = [[0.3, 0.4], [0.6, 0.5]], [1.2, 2.5]
+    scene.add_balls(pair, radius=0.04, mass=mass, velocity=[[3, -2], [-1, 4]], material="rubber")
     scene.add_springs([[0, 1]], stiffness=2e4, damping=damping)
-    for name, normal, offset in (
-        ("floor", (0, 1), 0),
-        ("lid", (0, -1), -1),
-        ("left", (1, 0), 0),
-        ("right", (-1, 0), -1),
-    ):
+    if brick:
+        four = [[0.1, 0.7], [0.1, 0.84], [0.31, 0.7], [0.31, 0.84]]
+        balls = scene.add_balls(four, radius=0.03, mass=0.6, velocity=(0.5, -5), material="rubber")
+        scene.add_bricks(balls, young_modulus=4e3, poisson_ratio=0.3)
+        scene.add_springs([balls[:2], balls[1:3]], stiffness=50.0, damping=4.0)
+    walls = {"floor": ((0, 1), 0), "lid": ((0, -1), -1), "left": ((1, 0), 0), "right": ((-1, 0), -1)}
+    for name, (normal, offset) in walls.items():
         scene.add_wall(normal, offset, "rubber")
         scene.add_probe(name, "impulse", wall=len(scene.walls) - 1)
-    with simulate(scene, dt=1e-3, substeps=1) as sim:
-        sim.run(0.5)
-        given = [sum(sim.probes()[f"{name}.{axis}"] for name in ("floor", "lid", "left", "right")) for axis in "xy"]
-        lost = scene.mass @ scene.velocity + scene.mass.sum() * scene.gravity * 0.5 - scene.mass @ sim.velocity
-    np.testing.assert_allclose(given, lost, atol=1e-12 if F64 else 2e-4)
-
-
-@pytest.mark.slow
-def test_impulse_probes_close_the_ledger_of_elements_beside_damped_springs_that_share_balls():
-    scene = ts.Scene(dim=2, gravity=(0, -9))
-    scene.add_material("rubber", restitution=0.4)
-    balls = scene.add_balls(
-        [[0.0, 0.1], [0.0, 0.24], [0.21, 0.1], [0.21, 0.24]],
-        radius=0.03,
-        mass=0.6,
-        velocity=(0.5, -2),
-        material="rubber",
-    )
-    scene.add_bricks(balls, young_modulus=4e3, poisson_ratio=0.3)
-    scene.add_springs([balls[:2], balls[1:3]], stiffness=50.0, damping=4.0)
-    scene.add_wall((0, 1), 0.0, "rubber")
-    scene.add_probe("floor", "impulse", wall=0)
     with simulate(scene, dt=5e-4, substeps=1) as sim:
-        sim.run(0.25)
-        given = [sim.probes()[f"floor.{axis}"] for axis in "xy"]
-        lost = scene.mass @ scene.velocity + scene.mass.sum() * scene.gravity * 0.25 - scene.mass @ sim.velocity
-    assert -given[1] > 3.0
+        sim.run(0.5)
+        given = [sum(sim.probes()[f"{name}.{axis}"] for name in walls) for axis in "xy"]
+        lost = scene.mass @ scene.velocity + scene.mass.sum() * scene.gravity * 0.5 - scene.mass @ sim.velocity
+    assert np.abs(given).max() > 2.0
     np.testing.assert_allclose(given, lost, atol=1e-11 if F64 else 1e-3)
 
 

@@ -1,10 +1,9 @@
 """Balls stored in another order than the scene's: nobody can tell."""
 
 import numpy as np
-import physics_bits
 import pytest
 import taichi as ti
-from physics_support import F64, each_dim, error, simulate
+from physics_support import simulate
 
 import taichi_sim as ts
 from taichi_sim.device import spatial_sort
@@ -38,23 +37,6 @@ def test_neighbours_lie_near_each_other():
     scene.add_balls(x, radius=0.4)
     sorted_x = x[spatial_sort.spatial_order(scene)]
     assert np.median(np.linalg.norm(np.diff(sorted_x, axis=0), axis=1)) < 1.5
-
-
-@pytest.mark.long
-@each_dim
-def test_a_pile_moves_the_same_in_either_order(dim, monkeypatch):
-    scene = physics_bits.pile(dim)
-    scene.set_balls(7, pinned=True)
-    ends = []
-    for first in (spatial_sort.FEWEST_SORTED, 1):
-        monkeypatch.setattr(spatial_sort, "FEWEST_SORTED", first)
-        with simulate(scene, dt=H, contacts="jacobi", contact_iterations=2) as sim:
-            assert np.array_equal(sim.position, scene.position if F64 else scene.position.astype(np.float32))
-            sim.step(20)
-            ends.append((sim.position, sim.velocity))
-    assert error(ends[1][0], ends[0][0]) < (1e-10 if F64 else 2e-6)
-    assert error(ends[1][1], ends[0][1]) < (1e-9 if F64 else 1e-4)
-    assert np.array_equal(ends[1][0][7], ends[0][0][7])
 
 
 @pytest.mark.slow

@@ -98,5 +98,6 @@ def test_what_limits_a_step_is_named_wherever_it_is_limited():
     )
     with simulate(scene, integrator="xpbd", contacts="off", dt=1e-4) as sim:
         assert (
-            sim._stepper._limiting(-1, 0.5) == "xpbd takes the push of the gases explicitly, which limits it to 0.5 s"
+            sim._stepper.checks.limiting(-1, 0.5)
+            == "xpbd takes the push of the gases explicitly, which limits it to 0.5 s"
         )

@@ -6,7 +6,7 @@ from physics_support import F64, simulate
 from scene_files import assert_unchanged
 
 import taichi_sim as ts
-from taichi_sim.integrators import TRBDF2, ImplicitEuler
+from taichi_sim.integrators import ImplicitEuler
 from taichi_sim.scene.membranes import MEMBRANES
 from taichi_sim.scene.presets import PRESETS
 
@@ -116,24 +116,6 @@ def test_patch_test():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [ImplicitEuler(), TRBDF2()])
-def test_crumpled_sheets_stay_bounded_at_any_step(method):
-    """Steel and silk, pressed together and folded, at the step of a frame and at one of a tenth of a second."""
-    for law in ({"warp": 1e6, "shear": 4e5, "coupling": 3e5}, {"warp": 100.0, "weft": 60.0, "shear": 2.0}):
-        scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
-        ts.shapes.cloth(scene, (1.0, 1.0), (9, 9), mass_per_area=0.1, bending_rigidity=1e-6, **law)
-        x = scene.position @ np.diag([0.7, 1.0, 0.9]) + 0.02 * np.random.default_rng(1).normal(size=(81, 3))
-        for h in (1 / 60, 0.1):
-            with simulate(scene, integrator=method, dt=h, contacts="off") as sim:
-                sim.set_position(x)
-                start = sim.energy().total
-                for _ in range(4):
-                    sim.step(5)
-                    assert sim.energy().total < 1.001 * start
-                assert np.abs(sim.momentum()).max() < 1e-5 * np.sqrt(start * scene.mass.sum())
-
-
-@pytest.mark.slow
 def test_verlet_keeps_the_energy_of_a_sheet_at_the_step_it_finds():
     scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
     ts.shapes.cloth(scene, (0.6, 0.4), (7, 5), pinned=[0, 30], damping=0.0, mass_per_area=0.2, **LAW)
@@ -145,15 +127,11 @@ def test_verlet_keeps_the_energy_of_a_sheet_at_the_step_it_finds():
 
 
 @pytest.mark.once
-def test_scene_files_and_copies_hold_them(tmp_path):
+def test_a_sheet_that_tears_has_springs_without_stiffness():
     scene = ts.Scene(dim=3)
-    ts.shapes.cloth(scene, (1.0, 1.0), (4, 5), warp_angle=20.0, break_strain=0.2, **LAW)
-    assert scene.n_springs == len(np.unique(np.sort(scene.pairs, axis=1), axis=0)) > 0  # of no stiffness, to tear
+    ts.shapes.cloth(scene, (1.0, 1.0), (4, 5), break_strain=0.2, **LAW)
+    assert scene.n_springs == len(np.unique(np.sort(scene.pairs, axis=1), axis=0)) > 0
     assert not scene.stiffness.any()
-    scene.save(tmp_path / "sheet.toml")
-    again = ts.load_scene(tmp_path / "sheet.toml")
-    for name in ("membranes", "membrane_rest", "membrane_warp", "membrane_coupling", "membrane_damping"):
-        assert np.array_equal(getattr(again, name), getattr(scene, name))
 
 
 @pytest.mark.once

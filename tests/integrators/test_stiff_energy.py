@@ -1,10 +1,16 @@
-"""Implicit methods gain no energy, however stiff springs are and however coarse their solutions."""
+"""Implicit methods gain no energy, however stiff bodies are, however long the step is and however coarse the solutions."""
+
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from element_blocks import lattice, mesh
 from physics_support import F64, simulate
 
 import taichi_sim as ts
+from taichi_sim.analysis import diagnostics
+from taichi_sim.integrators import TRBDF2, ImplicitEuler
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -80,3 +86,97 @@ def test_a_sheet_that_lands_on_a_smooth_sphere_gains_no_energy(method, h):
             stored.append(sim.energy().total)
         assert sim.contacts().number > 10
     assert max(stored) < 1.001 * stored[0]
+
+
+# Bodies of all kinds at any step ------------------------------------------------------------------------------------
+
+
+def bar(kind, loss, points, corners, scene):
+    """A bar of hard rubber that is held at one end and struck at the other."""
+    struck = np.where(points[:, :1] > 7, (0.0, 3.0, 1.0), 0.0)
+    balls = scene.add_balls(0.1 * points, radius=0.01, mass=1.0, pinned=points[:, 0] == 0, velocity=struck)
+    law = {"young_modulus": 1e7, "poisson_ratio": 0.49, "viscosity": loss}
+    getattr(scene, f"add_{kind}")(balls[corners], **law)
+
+
+def block(scene):
+    """Stiff cells on soft springs; they turn, and one side of them is struck."""
+    points, corners = mesh((2, 2, 2))
+    arm = 0.1 * (points - 1.0)
+    velocity = 2.0 * np.cross([0.0, 0.0, 1.0], arm) + np.where(arm[:, :1] > 0.09, (0.0, 0.0, 1.0), 0.0)
+    balls = scene.add_balls(arm, radius=0.01, mass=0.02, velocity=velocity)
+    sides = np.unique(np.sort(corners[:, [[0, 1], [0, 2], [1, 2], [2, 3]]].reshape(-1, 2), axis=1), axis=0)
+    scene.add_springs(balls[sides], stiffness=40.0)
+    scene.add_cells(balls[corners], bulk_modulus=1e6, crush_modulus=3e6)
+
+
+def waving(material, shear, scene):
+    """A sheet of triangles that turns and waves."""
+    balls = ts.shapes.cloth(scene, (0.8, 0.6), (9, 7), material=material, shear=shear).balls
+    arm = scene.position[balls] - scene.position[balls].mean(axis=0)
+    wave = 0.5 * np.sin(6.0 * arm[:, :1]) * np.array([0.1, 1.0, 0.2])
+    scene.set_balls(balls, velocity=np.cross([0.2, 1.5, 0.5], arm) + wave)
+
+
+def bent(scene):
+    """A sheet of springs that bends a thousand times as stiffly as Verlet allows at the step of a frame."""
+    sheet = {"mass_per_area": 0.3, "stretch_stiffness": 900.0, "bending_rigidity": 0.02, "damping": 1e-3}
+    balls = ts.shapes.cloth(scene, (0.6, 0.9), (9, 12), **sheet).balls
+    scene.set_balls(balls, velocity=np.random.default_rng(1).normal(size=(len(balls), 3)))
+
+
+def crumpled(law, scene):
+    """A sheet at rest that is pressed together and folded."""
+    balls = ts.shapes.cloth(scene, (1.0, 1.0), (9, 9), mass_per_area=0.1, bending_rigidity=1e-6, **law).balls
+    x = scene.position[balls] @ np.diag([0.7, 1.0, 0.9])
+    scene.set_balls(balls, position=x + 0.02 * np.random.default_rng(1).normal(size=x.shape))
+
+
+BODIES = {
+    "bricks": partial(bar, "bricks", 0.0, *lattice((8, 2, 2))),
+    "solids": partial(bar, "solids", 1e3, *mesh((8, 2, 2), 0.2)),
+    "cells": block,
+    "silk": partial(waving, "silk", 17.0),
+    "denim": partial(waving, "denim", 53.0),
+    "bends": bent,
+    "crumpled steel": partial(crumpled, {"warp": 1e6, "shear": 4e5, "coupling": 3e5}),
+    "crumpled silk": partial(crumpled, {"warp": 100.0, "weft": 60.0, "shear": 2.0}),
+}
+TURNING = ("cells", "silk", "denim")
+
+
+def scene_of(*bodies, step=0.01):
+    """A scene of bodies in one place, which do not touch, and the balls of each."""
+    scene, ends = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0)), [0]
+    for body in bodies:
+        BODIES[body](scene)
+        ends.append(scene.n_balls)
+    scene.settings["dt"] = step
+    return scene, {body: slice(*both) for body, both in zip(bodies, pairwise(ends))}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [ImplicitEuler, TRBDF2])
+def test_no_step_is_limited_by_stiffness(method):
+    """From a tenth of a second to a millisecond energy never grows: in implicit Euler from step to step, in TR-BDF2, which
+    swings, above that of the start."""
+    alone = {body: scene_of(body)[0] for body in BODIES}
+    with simulate(scene_of(*BODIES)[0], integrator=method(), contacts="off") as sim:
+        for h in (1 / 10, 1 / 60, 1 / 240, 1 / 1000):
+            scene, balls = scene_of(*BODIES, step=h)
+            sim.reset(scene)
+            assert sim.substeps == 1
+            energy, turning = {body: [] for body in BODIES}, {body: [] for body in BODIES}
+            for _ in range(21):
+                x, v = sim.position, sim.velocity
+                for body, at in balls.items():
+                    energy[body].append(diagnostics.energy(alone[body], x[at], v[at]).total)
+                    turning[body].append(diagnostics.angular_momentum(alone[body], x[at], v[at]))
+                sim.step(1)
+            for body, found in energy.items():
+                before = found[:-1] if method is ImplicitEuler else found[:1] * 20
+                assert (np.subtract(found[1:], before) < (1e-6 if F64 else 1e-3) * found[0]).all(), (body, h)
+            for body in TURNING if method is TRBDF2 and h < 1 / 200 else ():
+                start = turning[body][0]
+                assert np.abs(np.subtract(turning[body], start)).max() < 1e-4 * np.linalg.norm(start), (body, h)
+            assert sim.solver().misses == 0 or h > 1 / 20 or not F64, h  # rounding is in the way

@@ -1,11 +1,11 @@
-"""Embedded surfaces, which follow balls. What is refused, that they are kept in files, where their vertices lie, and that they
-are drawn in place of the balls that they cover."""
+"""Embedded surfaces, which follow balls. What is refused, where their vertices lie, and that they are drawn in place of the
+balls that they cover."""
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from taichi_sim import Frame, Scene, SceneError, Simulation, shapes
+from taichi_sim import Frame, Scene, SceneError, shapes
 from taichi_sim.files.toml_reader import load_scene
 from taichi_sim.geometry.mesh import read_surface
 from taichi_sim.outputs.parts import Parts
@@ -16,7 +16,6 @@ from taichi_sim.scene.looks import Look
 pytestmark = pytest.mark.once
 
 RED, GREEN = (0.9, 0.05, 0.05), (0.05, 0.8, 0.05)
-COLUMNS = ("corners", "weights", "triangles", "covers", "uv")
 SIZE = (160, 90)
 
 
@@ -104,25 +103,6 @@ def test_refused(corners, weights, triangles, more, message):
     with pytest.raises(SceneError, match=message):
         scene.add_embedded_surface(corners, weights, triangles, **more)
     assert not scene.embedded_surfaces
-
-
-def same(a, b):
-    assert len(a) == len(b) == 1
-    assert all(np.array_equal(getattr(a[0], name), getattr(b[0], name)) for name in COLUMNS)
-    assert a[0].colour == b[0].colour
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("colour", "covers"), [(None, None), (RED, [4])])
-def test_kept_in_scene_and_state_files(tmp_path, colour, covers):
-    scene = tetrahedron(colour, covers)
-    scene.save(tmp_path / "x.toml")
-    same(load_scene(tmp_path / "x.toml").embedded_surfaces, scene.embedded_surfaces)
-    with Simulation(scene) as sim:
-        sim.save(tmp_path / "x.npz")
-        assert sim.frame().embedded_surfaces == tuple(scene.embedded_surfaces)
-    with Simulation.restore(tmp_path / "x.npz") as again:
-        same(again.scene.embedded_surfaces, scene.embedded_surfaces)
 
 
 def test_a_surface_in_a_scene_file_counts_within_its_group(tmp_path):

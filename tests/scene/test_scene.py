@@ -6,12 +6,12 @@ import sys
 import numpy as np
 import pytest
 
-from taichi_sim import Scene, SceneError, load_scene
-from taichi_sim.scene.document import document, fill
+from taichi_sim import Scene, SceneError
 
 pytestmark = pytest.mark.once
 
 NAN, INF = float("nan"), float("inf")
+CLOSED = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
 
 
 def pair(**changes) -> Scene:
@@ -23,6 +23,12 @@ def pair(**changes) -> Scene:
 def three() -> Scene:
     scene = Scene(dim=3)
     scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0]], radius=0.1)
+    return scene
+
+
+def tetrahedron() -> Scene:
+    scene = three()
+    scene.add_balls([[0, 0, 1]], radius=0.1)
     return scene
 
 
@@ -115,6 +121,7 @@ REFUSED = [
     (lambda: pair().add_triangles([[0, 1, 1]], collides=True), r"triangles\.collides: .*dim = 3"),
     (lambda: three().add_triangles([[0, 1, 2], [0, 1, 1]], collides=True), r"triangles\[1\]: \[0, 1, 1\] .*different"),
     (lambda: three().add_triangles([[0, 1, 2]], collides=[True, False]), r"triangles\.collides: .*list of 1"),
+    (lambda: tetrahedron().add_gas(CLOSED, pressure=1.0, volume=-1.0), r"gases\.volume: -1\.0 is not allowed"),
 ]
 
 
@@ -152,48 +159,6 @@ def test_a_scene_says_what_it_holds():
     scene.add_springs([(0, 1)], stiffness=10.0)
     assert repr(scene) == "<Scene in 2D: 3 balls, 1 pinned, 1 spring; gravity (0, -9.81) m/s^2>"
     assert "<th>balls</th><td>3</td>" in scene._repr_html_()
-
-
-def tetrahedron():
-    scene = Scene(dim=3)
-    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], radius=0.1)
-    scene.add_gas([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], pressure=7.0)
-    return scene
-
-
-def test_a_gas_comes_back_with_the_volume_at_which_it_has_its_pressure(tmp_path):
-    scene = tetrahedron()
-    scene.set_balls(3, position=[0.1, 0.2, 1.7])  # squeezed or stretched before the start
-    scene.save(tmp_path / "scene.toml")
-    for again in (load_scene(tmp_path / "scene.toml"), filled(scene)):
-        assert again.gases[0].volume == scene.gases[0].volume == 1 / 6
-    with pytest.raises(SceneError, match=r"gases\.volume: -1\.0 is not allowed"):
-        scene.add_gas(scene.gases[0].triangles, pressure=1.0, volume=-1.0)
-
-
-def filled(scene):
-    again = Scene(scene.dim, scene.gravity)
-    fill(again, *document(scene))
-    return again
-
-
-@pytest.mark.parametrize("angle", np.linspace(0.05, 6.2, 12))
-def test_a_wall_is_the_same_from_a_file_and_from_python(tmp_path, angle):
-    scene = Scene(dim=2)
-    scene.add_balls([[0, 1]], radius=0.1)
-    scene.add_wall((np.sin(angle), np.cos(angle)), offset=-1.0)
-    scene.add_wall(scene.walls[0].normal)
-    file = tmp_path / "scene.toml"
-    file.write_text(f"""
-format = 1
-[[balls]]
-position = [[0.0, 1.0]]
-radius = 0.1
-[[walls]]
-normal = [{float(np.sin(angle))!r}, {float(np.cos(angle))!r}]
-offset = -1.0
-""")
-    assert scene.walls[1].normal == scene.walls[0].normal == load_scene(file).walls[0].normal
 
 
 def test_what_an_object_holds_cannot_be_written_to():

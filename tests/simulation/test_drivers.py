@@ -1,17 +1,15 @@
-"""Two drivers, two ways to accumulate, any number of threads, one result; and the neighbour search against brute force."""
-
-import subprocess
-import sys
-from pathlib import Path
+"""Every order of sums comes to one result; and one pass of contacts against brute force."""
 
 import numpy as np
 import physics_bits
 import pytest
 import reference as ref
-from physics_support import F64, PRECISION, VARIANTS, each_dim, error, exact, relaxed_pass, simulate
+from physics_support import EPS, F64, VARIANTS, each_dim, error, exact, relaxed_pass, simulate
+from trajectories import muscle
 
 import taichi_sim as ts
 from taichi_sim.contacts.jacobi import RELAXATION
+from taichi_sim.device import spatial_sort
 from taichi_sim.simulation import assembly
 
 pytestmark = pytest.mark.long_in("f32")
@@ -19,57 +17,55 @@ pytestmark = pytest.mark.long_in("f32")
 H = 1e-3
 
 
-@pytest.mark.long
-def test_one_and_two_threads_have_the_same_bits():
-    def run(threads):
-        command = [sys.executable, str(Path(physics_bits.__file__)), PRECISION, str(threads)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout.split()
-
-    one = run(1)
-    assert len({one[0], *one[2:]}) == 4  # in double precision rows and blocks agree to the last bit
-    assert run(2) == one
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["verlet", "symplectic_euler"])
-@each_dim
-@pytest.mark.long_where(dim=2)
-def test_all_orders_of_springs_agree(dim, method, monkeypatch):
-    """Four orders of one sum, after 100 steps of a cloth."""
-    scene, steps = physics_bits.cloth(dim), 100
-    ends = {}
+@pytest.mark.parametrize(
+    ("build", "method", "steps", "most"),
+    [
+        pytest.param(lambda: physics_bits.cloth(2), "verlet", 100, exact(100), marks=pytest.mark.long, id="2d"),
+        pytest.param(lambda: physics_bits.cloth(3), "verlet", 100, exact(100), id="3d"),
+        pytest.param(lambda: physics_bits.cloth(3), "symplectic_euler", 100, exact(100), id="symplectic_euler"),
+        pytest.param(muscle, "verlet", 300, 1e5 * EPS, marks=pytest.mark.long, id="motors"),
+        pytest.param(muscle, "implicit_euler", 300, 2e-3, marks=pytest.mark.long, id="implicit_euler"),
+    ],
+)
+def test_every_order_of_springs_comes_to_the_same(build, method, steps, most, monkeypatch):
+    """Four orders of one sum, of springs with motors too; positions, and velocities in units of omega^2 = k / m = 2000 / s^2."""
+    scene, ends = build(), {}
     for order in ("blocks", "gather", "padded", "atomic"):
         monkeypatch.setattr(assembly, "fixed_order", lambda *_, order=order: order)
-        with simulate(
-            scene, ("atomic" if order == "atomic" else "ordered", "parallel"), integrator=method, dt=H, contacts="off"
-        ) as sim:
+        accumulate = "atomic" if order == "atomic" else "ordered"
+        with simulate(scene, (accumulate, "parallel"), integrator=method, dt=H, contacts="off") as sim:
             assert f"springs.{order}" in sim.kernels()
             sim.step(steps)
-            ends[order] = sim.position, sim.velocity
+            ends[order] = sim.position, sim.velocity / np.sqrt(2000.0)
+    size = float(np.max(np.abs(ends["blocks"][0])))
     for order in ("gather", "padded", "atomic"):
-        # in phase space: velocities in units of omega times the size, where omega^2 = k / m
-        size = float(np.max(np.abs(ends["blocks"][0])))
-        found = max(error(ends[order][k], ends["blocks"][k], size * (1.0, np.sqrt(2000.0))[k]) for k in (0, 1))
-        assert found < exact(steps), f"{order}: {found:.2e}"
+        found = max(error(*both, size) for both in zip(ends[order], ends["blocks"]))
+        assert found < most, f"{order}: {found:.2e}"
 
 
-@pytest.mark.parametrize("dim", [pytest.param(2, marks=pytest.mark.long), 3], ids=["2d", "3d"])
 @pytest.mark.long
-def test_atomic_agrees_with_ordered_in_a_pile(dim):
-    """Before collisions multiply the rounding: 20 steps."""
-    scene = physics_bits.pile(dim)
-    ends = []
-    for accumulate in ("ordered", "atomic"):
+@each_dim
+def test_every_order_of_contacts_comes_to_the_same(dim, monkeypatch):
+    """Before collisions multiply the rounding, 20 steps: by blocks, by both balls of a pair, by atomics, and by blocks of balls
+    that are stored as they lie in space."""
+    scene, ends = physics_bits.pile(dim), []
+    scene.set_balls(7, pinned=True)
+    for accumulate, first in (("ordered", 1000), ("gather", 1000), ("atomic", 1000), ("ordered", 1)):
+        monkeypatch.setattr(spatial_sort, "FEWEST_SORTED", first)
         with simulate(scene, (accumulate, "parallel"), dt=H, contacts="jacobi", contact_iterations=2) as sim:
+            assert (sim.parts.state.order is None) == (first > 1)
+            assert sim.parts.contacts.plan.gathers == (accumulate == "gather")
+            assert np.array_equal(sim.position, scene.position if F64 else scene.position.astype(np.float32))
             sim.step(20)
             ends.append((sim.position, sim.velocity))
-    assert error(ends[1][0], ends[0][0]) < (1e-10 if F64 else 2e-6)
-    assert error(ends[1][1], ends[0][1]) < (1e-9 if F64 else 1e-4)
+    for x, v in ends[1:]:
+        assert error(x, ends[0][0]) < (1e-10 if F64 else 2e-6)
+        assert error(v, ends[0][1]) < (1e-9 if F64 else 1e-4)
+        assert np.array_equal(x[7], ends[0][0][7])
 
 
-# Neighbour search -----------------------------------------------------------------------------------------------------
+# One pass of contacts -------------------------------------------------------------------------------------------------
 
 N, TRIALS = 60, 25
 
@@ -111,12 +107,6 @@ def _expected(scene, x, v):
     return contacts, relaxed_pass(contacts, v, w, RELAXATION)
 
 
-def _whole_velocity(sim):
-    """With what single precision rounds off: the split between the two parts may change where their sum does not."""
-    now = sim.snapshot()
-    return now.velocity if now.low_velocity is None else now.velocity + now.low_velocity
-
-
 @pytest.mark.long
 def test_random_scenes_against_brute_force(searching):
     """One pass from rest impulses is the reference's; a pair missed, or found twice, would show at once.
@@ -147,32 +137,3 @@ def test_random_scenes_against_brute_force(searching):
         free = [i for i in range(N) if all(i not in c.balls for c in contacts)]
         assert np.array_equal(sim.velocity[free], v[free])
     assert total > 10 * TRIALS
-
-
-@pytest.mark.slow
-def test_pairs_are_found_again_as_balls_move(searching):
-    """Lists are kept while balls move little: steps of a fast gas, each against brute force."""
-    dim, scene, sim, rng = searching
-    sim.set_position(np.outer(np.arange(N) * 10.0 + 1000.0, np.ones(dim)))
-    sim.set_velocity(np.zeros((N, dim)))
-    sim.step()
-    v = rng.normal(size=(N, dim)) * 20.0
-    v[scene.pinned] = 0.0
-    side = 2.0 if dim == 2 else 0.8
-    sim.set_position(rng.uniform(-side, side, (N, dim)))
-    sim.set_velocity(v)
-    met = 0
-    for _ in range(60):
-        x, v, whole = sim.position, sim.velocity, _whole_velocity(sim)
-        contacts, _ = _expected(scene, x, v)
-        approaching = [c for c in contacts if c.normal @ (v[c.balls[1]] - v[c.balls[0]]) < -0.5]
-        sim.step()
-        after = sim.velocity
-        touched = np.unique([i for c in contacts for i in c.balls]).astype(int)
-        others = np.setdiff1d(np.arange(N), touched)
-        assert np.array_equal(_whole_velocity(sim)[others], whole[others])
-        for c in approaching:
-            i, j = c.balls
-            assert not np.array_equal(after[[i, j]], v[[i, j]])
-        met += len(approaching)
-    assert met > 20

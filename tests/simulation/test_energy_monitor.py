@@ -12,7 +12,7 @@ from physics_support import F64, PRECISION, each_dim, simulate, vector
 import taichi_sim as ts
 from taichi_sim.analysis.methods import SYMPLECTIC_EULER, VERLET
 from taichi_sim.analysis.stability import present_limit
-from taichi_sim.simulation import stepper
+from taichi_sim.simulation import run_checks
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.state_probe import StateSample
 
@@ -98,7 +98,7 @@ def test_energy_from_nowhere_is_warned_of_once():
 def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
     """The step is below the bound of the first shape, above that for every shape, and the ball then swings aside."""
     scene = net()
-    monkeypatch.setattr(stepper, "LOOKS_PER_BOUND", 1)
+    monkeypatch.setattr(run_checks, "LOOKS_PER_BOUND", 1)
     stretched = scene.position.copy()
     stretched[1:] *= 10.0  # springs that are long are stiff in all directions
     first, later = (present_limit(scene, VERLET, x)[0] for x in (scene.position, stretched))

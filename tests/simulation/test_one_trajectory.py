@@ -12,7 +12,7 @@ from physics_support import PRECISION, simulate
 import taichi_sim as ts
 from taichi_sim.device import parts
 
-QUICK = {"motors_verlet"}
+QUICK = {"motors_verlet", "elements"}
 SLOWER = {"tearing_in_wind", "led_by_pins"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]

@@ -60,7 +60,10 @@ def _bends(scene, at, corners, damping):
 
 
 def _cells(scene, at, corners, damping):
-    scene.add_cells(at[corners], bulk_modulus=_by_turns(corners, 20.0, 30.0))
+    """Cells; in 2D the two of a box act together."""
+    together = np.arange(len(corners)) % (len(corners) // 2) if scene.dim == 2 else None
+    bulk = _by_turns(corners, 20.0, 30.0)
+    scene.add_cells(at[corners], bulk_modulus=bulk, crush_modulus=2.0 * bulk, together=together)
 
 
 def _membranes(scene, at, corners, damping):

@@ -1,13 +1,8 @@
-"""Scenes whose bits are compared between drivers, threads and runs; run as a program it prints their hashes."""
-
-import hashlib
-import sys
+"""Scenes large enough for every order of sums."""
 
 import numpy as np
-from reference_bits import surfaces
 
 import taichi_sim as ts
-from taichi_sim.simulation import assembly
 
 
 def cloth(dim):
@@ -46,26 +41,3 @@ def pile(dim):
             x, radius=0.03 + 0.01 * k, velocity=rng.normal(size=(150, dim)), mass=1.0 + k, material=material
         )
     return scene
-
-
-def digest(scene, steps, precision, **settings):
-    """SHA-256 of position and velocity after so many steps of 1 ms."""
-    with ts.Simulation(scene, dt=1e-3, arch="cpu", precision=precision, **settings) as sim:
-        sim.step(steps)
-        return hashlib.sha256(sim.position.tobytes() + sim.velocity.tobytes()).hexdigest()
-
-
-if __name__ == "__main__":
-    precision, threads = sys.argv[1], int(sys.argv[2])
-    runs = [(cloth(2), 50, "off", ""), (cloth(2), 50, "off", "blocks")]
-    runs += [(pile(2), 60, "jacobi", ""), (pile(2), 1000, "gauss_seidel", ""), (surfaces()[0], 300, "auto", "")]
-    for scene, steps, contacts, order in runs:
-        assembly.FUSED_UP_TO = 0 if order == "blocks" else 20_000  # above it springs go in blocks, below in rows
-        settings = {
-            "driver": "parallel",
-            "accumulate": "ordered",
-            "threads": threads,
-            "contacts": contacts,
-            "contact_iterations": 2,
-        }
-        print(digest(scene, steps, precision, **settings))

@@ -1,5 +1,6 @@
 """Scenes of which a run has one trajectory, in either driver and however it is divided: every integrator, every rule and order
-of contacts, wind, moving pins, motors, control of the error, strong damping, tearing, colliders, surfaces, lists that grow.
+of contacts, every element, wind, moving pins, motors, control of the error, strong damping, tearing, colliders, surfaces,
+lists that grow.
 
     python tests/support/trajectories.py [NAME ...]
 
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import reference_bits as bits
+from element_blocks import blocks
 from physics_colliders import drum_scene
 
 import taichi_sim as ts
@@ -124,10 +126,27 @@ def lists_that_grow():
     return scene, {"dt": 1e-3, "contacts": "jacobi", "contact_iterations": 1}
 
 
+def elements():
+    """A body of each kind of element."""
+    return blocks(3, damping=0.02)[0], {"dt": 1e-3, "contacts": "off"}
+
+
+def elements_implicit():
+    return elements()[0], {"dt": 4e-3, "contacts": "off", "integrator": "tr_bdf2"}
+
+
+def balls_on_a_mesh():
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.0, 0.0))
+    scene.add_balls([[0.0, 0.3, 0.0], [0.1, 0.6, 0.0]], radius=0.14)
+    corners = [[-1.0, 0.0, -1.0], [1.0, 0.0, -1.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    scene.add_collider(ts.Mesh((corners, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])))
+    return scene, {"dt": 1e-3}
+
+
 SCENES = (
     *bits.SCENES, led_by_pins, motors_verlet, motors_tr_bdf2, in_the_wind, in_the_wind_strongly_damped, in_the_wind_implicit,
     balloon_verlet, surfaces_that_tear, drum, crowd_of_unequal_masses, crowd_gathered,
-    crowd_with_a_tolerance, lists_that_grow,
+    crowd_with_a_tolerance, lists_that_grow, elements, elements_implicit, balls_on_a_mesh,
 )  # fmt: skip
 BY_NAME = {build.__name__: build for build in SCENES}
 

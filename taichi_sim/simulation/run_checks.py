@@ -1,0 +1,221 @@
+"""RunChecks: looks at a run and warns, once of each kind, where it leaves what is safe. They change nothing of it."""
+
+import warnings
+from collections.abc import Iterator, Mapping
+from typing import Any
+from weakref import proxy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.outcome import DEEP, STARTS_DEEP, Scales, cure_of_depth, takers
+from taichi_sim.analysis.stability import explicit_parts, present_limit
+from taichi_sim.analysis.touching import overlap, overlap_at_start
+from taichi_sim.kernels.contacts import statistics
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.objects import pair_in_words
+from taichi_sim.simulation.energy_monitor import LARGEST_PART, Growth, size
+
+__all__ = ["RunChecks"]
+
+UNSEEN = 256  # substeps between two looks at contacts
+RUSH = 0.2  # of the smallest radius: moves in a substep, above which crowds lie deep in each other
+LOOKS_PER_BOUND = 16  # from one bound for the present shape to the next, in scenes of at most
+MOST_BOUNDED = 20_000  # balls and springs
+
+
+class RunChecks:
+    """Checks of one run, a Stepper, and its decisions.
+
+    decisions: what was decided on the way, in words, each with its time. fastest: speed of the fastest ball [m/s] in all looks.
+    drivers: parts that may add energy to the scene or take it, in words.
+    """
+
+    def __init__(self, run: Any) -> None:
+        scene, parts = run.scene, run.parts
+        self.run: Any = proxy(run)  # no circle: what is dropped frees its memory at once
+        self.scene, self.size = scene, size(scene)
+        self.decisions: list[str] = []
+        self.warned: set[str] = set()
+        self.fastest = 0.0
+        self._looks, self._unseen = 0, 0
+        moves = parts.colliders is not None and parts.colliders.moves
+        self.drivers = tuple(self._drivers(moves))
+        self.squeezes = parts.contacts.active and (moves or bool(scene.moving_pins))
+        self._rush = RUSH * float(scene.radius.min()) if parts.plan.pairs else np.inf  # m a substep
+        self._single = parts.backend.precision == "f32"
+        self._solves = parts.integrator.solver_report() is not None
+        # beyond the bound for every shape the present one decides; where nothing is safe that was said at the start
+        is_bounded = scene.n_balls + scene.n_springs <= MOST_BOUNDED
+        self._strays = is_bounded and self.part_of_bound > 1.0 + 1e-9
+
+    def _drivers(self, colliders_move: bool) -> Iterator[str]:
+        scene = self.scene
+        if colliders_move:
+            yield "moving colliders"
+        if scene.moving_pins:
+            yield "moving pins"
+        if scene.motors:
+            yield "motors"
+        yield from (element.name for element in ELEMENTS if element.gives_energy and element.count(scene))
+        if self.run.own:
+            forces = self.run.parts.arguments[4]
+            yield "forces of your own" if forces else "a method or contact rule of your own"
+
+    @property
+    def part_of_bound(self) -> float:
+        """Substep in parts of the largest that is safe in every shape; 0 where none is."""
+        safe = self.run.safe.dt_any_shape
+        return self.run.h / safe if safe > 0 else 0.0
+
+    def scales(self) -> Scales:
+        """Scales by which the run is judged."""
+        run, method = self.run, self.run.method
+        touches, torn = run.parts.contacts.active, run.parts.torn
+        return Scales(
+            slow=2.0 * float(np.linalg.norm(self.scene.gravity)) * run.h,
+            drivers=self.drivers,
+            takers=takers(self.scene, touches, torn is not None and bool(torn.any())),
+            motion=max(run.monitor.most, run.largest_motion),
+            swing=1.0 - 1.0 / method.swing(min(self.part_of_bound, LARGEST_PART)),
+            swing_power=method.swing_power,
+            squeezes=self.squeezes,
+            starts_deep=STARTS_DEEP in self.warned,
+            damps="" if method.conserves else method.name,
+            gains=method.why_energy_grows(),
+            touches=touches,
+        )
+
+    # Looks -----------------------------------------------------------------------------------------------------------
+
+    def after(self, substeps: int) -> None:
+        """Check the run after so many substeps."""
+        self._check_solver()
+        if self._strays and self._looks % LOOKS_PER_BOUND == 0:
+            self._check_bound()
+        self._looks += 1
+        self._unseen += substeps
+        if self._unseen >= UNSEEN:
+            self.look_at_depth(8)
+
+    def look_at_depth(self, stacklevel: int) -> None:
+        """Warn where balls lie deep in something, if anything here may bring them there: what moves, or speed."""
+        if self._unseen and (self.squeezes or self._rushes):
+            self._unseen = 0
+            self.contact_statistics(stacklevel)
+
+    @property
+    def _rushes(self) -> bool:
+        """True if a ball has been so fast that contacts may not have held it."""
+        return self.fastest * self.run.h > self._rush
+
+    def contact_statistics(self, stacklevel: int = 4) -> NDArray[np.float64]:
+        """Statistics of all contacts, see kernels.contacts.statistics. Warns once, of the line that many calls further out, where
+        steps have brought balls deep into something."""
+        totals = self.run.parts.contact_statistics()
+        part = float(totals[statistics.LARGEST_PART])
+        if part > DEEP and (self.run.moved or self.run.time == 0.0):
+            self._warn_of_depth(int(totals[statistics.BALL]), part, stacklevel + 1)
+        return totals
+
+    def _warn_of_depth(self, ball: int, part: float, stacklevel: int) -> None:
+        scene, position, time = self.scene, self.run.parts.state.position, self.run.time
+        began = overlap_at_start(scene, position, time, ball, part)
+        if began > DEEP:
+            where = overlap(scene, scene.position, 0.0, ball, began)
+            self.warn(STARTS_DEEP, f"at the start {where}: {STARTS_DEEP}", stacklevel)
+        elif self.run.moved:
+            where = overlap(scene, position, time, ball, part)
+            cure = cure_of_depth(self.squeezes, self._rush / self.fastest if self._rushes else None)
+            self.warn("depth", f"at t = {time:.6g} s {where}; {cure}", stacklevel)
+
+    def _check_solver(self) -> None:
+        """Warn if an implicit method has left a stage unsolved."""
+        if not self._solves or "solver" in self.warned:
+            return
+        found = self.run.parts.integrator.solver_report()
+        if found is not None and found.misses:
+            single = '; single precision may be what stands in the way: try "f64"' if self._single else ""
+            self.warn(
+                "solver",
+                f"{self.run.method} left {found.worst:.2g} of the impulses of a stage unsolved by t = {self.run.time:.6g} s,"
+                f" more than ten times its tolerance of {found.tolerance:g}: take shorter steps{single}",
+            )
+
+    def _check_bound(self) -> None:
+        """Warn if the shape has stiffened so that the step is not safe, where it is not safe in every shape."""
+        if self.warned & {"bound", "growth"}:
+            return
+        limit, spring = self._present()
+        if self.run.h > limit:
+            self.warn(
+                "bound",
+                f"at t = {self.run.time:.6g} s the step of {self.run.h:.6g} s is not safe: in this shape"
+                f" {self.limiting(spring, limit)}",
+            )
+
+    # Warnings: one of a kind -----------------------------------------------------------------------------------------
+
+    def warn_of(self, growth: Growth, repeats: bool = True) -> None:
+        """Warn of energy that came from nowhere, where the step was the user's choice. One that only may be wrong is judged by
+        the bound, and, where balls are that fast, by a run of the chunk with half of it."""
+        if "growth" in self.warned:
+            return
+        run = self.run
+        limited = 0.0 < run.safe.dt_any_shape < np.inf
+        limit, spring = self._present() if limited else (np.inf, -1)
+        grew = f"energy grew {growth} by t = {run.time:.6g} s"
+        if not growth.sure and run.h <= limit:
+            sample = run.parts.state_probe.sample()
+            if repeats and sample.speed * run.h > self.size and not run.retry.works(growth):
+                self.warn(
+                    "growth",
+                    f"{grew}, and a ball goes further than the scene is wide in a step of {run.h:.6g} s; half of it gives another"
+                    " energy: user-defined forces act explicitly; take shorter steps",
+                )
+            run.monitor.begin(sample)
+            return
+        if run.h > limit:
+            too_long = f"the step of {run.h:.6g} s is too long: in this shape {self.limiting(spring, limit)}"
+            self.warn("growth", f"{grew}, because {too_long}")
+            return
+        why = run.method.why_energy_grows()
+        cause = f"as {why}" if why else "which nothing explains"
+        more = ", or more contact_iterations" if run.parts.contacts.active and not why else ""
+        self.warn("growth", f"{grew}, {cause}; {run.h:.6g} s is used: take shorter steps{more}")
+
+    def limiting(self, spring: int, limit: float) -> str:
+        """Words on the spring that limits the step to so many seconds, or, below 0, on what else does."""
+        method = self.run.method
+        if spring < 0:
+            parts = explicit_parts(self.scene, method, self.run.parts.forces.declared)
+            return f"{method} takes {parts} explicitly, which limits it to {limit:.6g} s"
+        ends = pair_in_words(self.scene.objects, *self.scene.pairs[spring].tolist())
+        return f"spring {spring} ({ends}) limits {method} to {limit:.6g} s"
+
+    def _present(self) -> tuple[float, int]:
+        """Largest step that is safe in the present shape [s], and the spring that limits it."""
+        run, parts = self.run, self.run.parts
+        scene = self.scene.at(run.time)
+        return present_limit(scene, run.method, parts.state.position, parts.forces.declared, parts.torn)
+
+    def warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
+        """Warn, of the line that many calls further out, if nothing of this kind was said before."""
+        if kind not in self.warned:
+            self.warned.add(kind)
+            warnings.warn(text, stacklevel=stacklevel)
+
+    # To a snapshot and back ------------------------------------------------------------------------------------------
+
+    def stored(self) -> dict[str, Any]:
+        """Plain values from which the checks of a run go on."""
+        return {"warned": sorted(self.warned), "decisions": self.decisions, "looks": [self._looks, self._unseen]}
+
+    def read(self, plain: Mapping[str, Any]) -> tuple[set[str], list[str], int, int]:
+        """Values of what `stored` gave. Raises KeyError, TypeError or ValueError for anything else."""
+        looks, unseen = (int(one) for one in plain["looks"])
+        return set(map(str, plain["warned"])), list(map(str, plain["decisions"])), looks, unseen
+
+    def put_back(self, plain: Mapping[str, Any]) -> None:
+        """Go on from what `stored` gave."""
+        self.warned, self.decisions, self._looks, self._unseen = self.read(plain)
