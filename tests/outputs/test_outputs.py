@@ -21,7 +21,7 @@ from taichi_sim.device.backend import Backend
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import Output, export, open_output
 from taichi_sim.outputs.companion import StepError
-from taichi_sim.outputs.export import Summary
+from taichi_sim.outputs.summary import Summary
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once
