@@ -52,8 +52,7 @@ class Stage:
         parts, self._objects = self._parts, list[str]()
         loose = parts.number[parts.loose]
         pairs, owner = parts.springs(first)
-        held = np.concatenate([[one.object for one in parts.surfaces], np.unique(loose), np.unique(owner)])
-        self._single = np.bincount(held.astype(np.int64), minlength=len(parts.names)) < 2
+        self._single = parts.held() < 2
         for name in parts.names:
             prim = self._define(UsdGeom.Xform, "/World", name).GetPrim()
             Usd.ModelAPI(prim).SetKind("component")
