@@ -504,18 +504,6 @@ def test_any_other_end_leaves_what_was_there(tmp_path, name, error):
     assert (tmp_path / name).read_text() == "old"
 
 
-def test_an_interrupted_folder_is_resumed(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        export(FakeSimulation(3, KeyboardInterrupt()), open_output(tmp_path / "frames"), duration=5 / 60, size=SIZE)
-    folder = tmp_path / "frames"
-    kept = {p.name: p.stat().st_mtime_ns for p in folder.glob("*.png")}
-    assert len(kept) == 3
-    out = make(tmp_path, "frames", duration=0.1, resume=True)
-    assert out.frames == 6
-    assert len(list(folder.iterdir())) == 6
-    assert all((folder / name).stat().st_mtime_ns == time for name, time in kept.items())
-
-
 def test_overwrite_replaces_frames_and_nothing_else(tmp_path):
     make(tmp_path, "frames", duration=0.2)
     (tmp_path / "frames" / "notes.txt").write_text("mine")
