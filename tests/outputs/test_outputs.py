@@ -356,6 +356,17 @@ def test_the_energies_of_the_summary_have_one_unit(off, said):
     assert f"energy       0.3 J at the start, {said} at the end (kinetic 0, spring 0, gravity 0.2)" in lines
 
 
+def test_the_summary_has_the_last_least_and_largest_reading_of_probes():
+    """Of a mean, which has none at first, too."""
+
+    class Probed(FakeSimulation):
+        def probes(self):
+            read = (1.0, 5.0, -2.0, 3.0)[self.asked - 1]
+            return {"a": read, "mean": read if self.asked > 1 else np.nan}
+
+    assert export(Probed(), None, fps=10, duration=0.3).probes == {"a": (3, -2, 5), "mean": (3, -2, 5)}
+
+
 def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
     known = {"load.magnitude": (1e-17, 1e-17, 1e-17), "b.x": (0.0, 0.0, 0.0), "c.x": (0.01, 0.01, 0.01)}
     known["d.x"] = (0.01, 0.0, 0.01)
