@@ -154,9 +154,9 @@ def elapsed(work: Callable[..., object], *arguments: Any) -> float:
     return time.perf_counter() - start
 
 
-def count_of(number: int, what: str, ending: str = "s") -> str:
+def count_of(number: int, what: str) -> str:
     """`1 thread`, `2 threads`."""
-    return f"{number} {what}{ending if number > 1 else ''}"
+    return f"{number} {what}{'s' * (number > 1)}"
 
 
 def peer(place: str, *arguments: Any, **options: Any) -> Callable[[], Runner]:

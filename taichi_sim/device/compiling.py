@@ -190,6 +190,19 @@ class Expected:
             parts.add("parallel pairs")
         return sum(AT_FIRST.get(part, 0.0) for part in sorted(parts))
 
+    @contextmanager
+    def told(self, say: Callable[[str], None]) -> Iterator[None]:
+        """Say how long it takes, at once and after each kernel of the block, and remember it."""
+        begin = time.perf_counter()
+
+        def hear() -> None:
+            say(self.words(time.perf_counter() - begin))
+
+        hear()
+        with watched(hear):
+            yield
+        self.spent()
+
     def spent(self) -> None:
         """Remember what the kernels took, when they are all there."""
         global _drawn

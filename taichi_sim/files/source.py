@@ -28,6 +28,7 @@ __all__ = [
     "open_simulation",
     "python_scene",
     "resolve",
+    "run_as_module",
 ]
 
 
@@ -36,6 +37,11 @@ def demos() -> dict[str, Path]:
     root = Path(str(resources.files("taichi_sim.demos")))
     files = [f for f in root.rglob("*") if f.suffix in (".toml", ".py") and not f.name.startswith(("_", "."))]
     return {f.relative_to(root).with_suffix("").as_posix(): f for f in sorted(files)}
+
+
+def _demos_by_any_name() -> dict[str, Path]:
+    """The demos by their names, and by the last parts of these."""
+    return {key.rsplit("/", 1)[-1]: file for key, file in reversed(demos().items())} | demos()
 
 
 def built_in(file: Path) -> str:
@@ -51,24 +57,22 @@ def resolve(name: str) -> Path:
     """The file that a SCENE argument means. Raises FileNotFoundError with the closest demo's name."""
     if Path(name).is_file():
         return Path(name)
-    known = demos()
-    short = {key.rsplit("/", 1)[-1]: file for key, file in reversed(known.items())} | known
-    if name in short:
-        return short[name]
+    known = _demos_by_any_name()
+    if name in known:
+        return known[name]
     if Path(name).suffix in (".toml", ".py"):
         raise FileNotFoundError(f"{name}: there is no such file")
-    hint = did_you_mean(name, short, "`taichi-sim demos` lists the demos")
+    hint = did_you_mean(name, known, "`taichi-sim demos` lists the demos")
     raise FileNotFoundError(f"{name}: is neither a file nor a built-in demo; {hint}")
 
 
 def copy_demo(name: str) -> list[Path]:
     """Copy the file of a demo, and arrays beside it, into the present folder; the paths written. Raises OSError for a name that
     is no demo or a file that is there already."""
-    known = demos()
-    short = {key.rsplit("/", 1)[-1]: file for key, file in reversed(known.items())} | known
-    if name not in short:
-        raise FileNotFoundError(f"{name}: is no demo; {did_you_mean(name, short, '`taichi-sim demos` lists them')}")
-    file = short[name]
+    known = _demos_by_any_name()
+    if name not in known:
+        raise FileNotFoundError(f"{name}: is no demo; {did_you_mean(name, known, '`taichi-sim demos` lists them')}")
+    file = known[name]
     sources = [file, *sorted(file.parent.glob(f"{file.stem}_*.npz"))]
     targets = [Path(one.name) for one in sources]
     for target in targets:
@@ -147,20 +151,30 @@ def open_simulation(file: Path, parameters: Mapping[str, Any] | None = None) -> 
 
 def _module(file: Path) -> ModuleType:
     """The file, run as a module of its own name, once; its folder can be imported from, as with `python file.py`."""
-    name = f"taichi_sim_scene_{file.stem}"
-    if name in sys.modules and getattr(sys.modules[name], "__file__", None) == str(file.resolve()):
+    if str(file.resolve().parent) != sys.path[0]:
+        sys.path.insert(0, str(file.resolve().parent))
+    try:
+        return run_as_module(file, f"taichi_sim_scene_{file.stem}")
+    except Exception as error:
+        raise _located(file, error) from error
+
+
+def run_as_module(file: Path, name: str) -> ModuleType:
+    """A Python file, run as the module of that name where it is not yet. Raises SceneError for another kind of file, and what
+    the file raises."""
+    place = str(file.resolve())
+    if name in sys.modules and getattr(sys.modules[name], "__file__", None) == place:
         return sys.modules[name]
-    specification = importlib.util.spec_from_file_location(name, file.resolve())
+    specification = importlib.util.spec_from_file_location(name, place)
     if specification is None or specification.loader is None:
         raise SceneError((), says="cannot be read as Python", file=file)
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module  # Taichi looks up the source of kernels through it
-    sys.path.insert(0, str(file.resolve().parent))
     try:
         specification.loader.exec_module(module)
-    except Exception as error:
+    except BaseException:
         del sys.modules[name]
-        raise _located(file, error) from error
+        raise
     return module
 
 

@@ -9,7 +9,8 @@ from typing import Any
 
 from taichi_sim.common.atomic_file import kind_of
 from taichi_sim.outputs.base import Output, film_rate
-from taichi_sim.outputs.export import Summary, export
+from taichi_sim.outputs.export import export
+from taichi_sim.outputs.summary import Summary
 
 __all__ = ["Output", "Summary", "export", "open_output", "open_outputs"]
 

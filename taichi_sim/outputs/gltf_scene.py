@@ -120,7 +120,7 @@ class GltfScene:
         """Write it. fps [1/s]: of the frames; shown: their numbers; shapes: those at which meshes have a shape."""
         parts, nodes = (
             self._parts,
-            Nodes(self._parts.names, self._held(), np.array(shown) / fps, np.array(shapes) / fps),
+            Nodes(self._parts.names, self._parts.held(), np.array(shown) / fps, np.array(shapes) / fps),
         )
         for mesh in self._surfaces:
             mesh.come_apart()
@@ -147,9 +147,3 @@ class GltfScene:
         if self._eyes:
             nodes.add_camera(self._eyes, aspect)
         nodes.write(file, fps)
-
-    def _held(self) -> NDArray[np.int64]:
-        """Number of parts of each object."""
-        surfaces = [one.object for one in self._surfaces]
-        held = np.concatenate([surfaces, np.unique(self._parts.number[self._parts.loose]), np.unique(self._owner)])
-        return np.bincount(held.astype(np.int64), minlength=len(self._parts.names))

@@ -40,12 +40,12 @@ def read_kept(path: Path) -> dict[str, Any]:
     return kept  # type: ignore[no-any-return]
 
 
-def checksum(path: Path, size: int | None = None) -> int:
-    """CRC-32 of a file, or of so many bytes at its beginning."""
-    found, left = 0, float("inf") if size is None else size
+def checksum(path: Path) -> int:
+    """CRC-32 of a file."""
+    found = 0
     with open(path, "rb") as file:
-        while left and (data := file.read(int(min(CHUNK, left)))):
-            found, left = zlib.crc32(data, found), left - len(data)
+        while data := file.read(CHUNK):
+            found = zlib.crc32(data, found)
     return found
 
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.mesh import holes
 from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
-from taichi_sim.render.camera import Bounds
 from taichi_sim.render.palette import body_colours
 from taichi_sim.render.styles import places_within
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
@@ -31,7 +30,6 @@ __all__ = [
     "normals_of",
     "placed",
     "textures_of",
-    "wall_square",
 ]
 
 Floats = NDArray[np.float64]
@@ -39,7 +37,6 @@ Texture = tuple[str, float]  # an image file, and how often it repeats along eac
 Textures = Mapping[str, Texture]  # by the names of shapes
 MOST_COLOURS = 128  # of loose balls of one object, in files that give each colour a material
 ROUND_FACES = 48  # of a round collider about its axis
-FLOOR = 4.0  # sides of the square that stands for a wall, of the size of the scene
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +137,7 @@ class Parts:
             self._project(name, in_3d(first.position))
         self.bodies = _bodies(first, self.names)
         self._faces: tuple[Any, list[NDArray]] = (None, [])
+        self._tied = self.springs(first)[1]
 
     def _project(self, name: str, x: Floats) -> None:
         """Put an image onto the surfaces of an object that say nothing of one, as in pictures: along z."""
@@ -186,6 +184,11 @@ class Parts:
         pairs = frame.springs.reshape(-1, 2)
         pairs = pairs[~self.hidden[pairs].any(axis=1)]
         return pairs, self.number[pairs[:, 0]]
+
+    def held(self) -> NDArray[np.int64]:
+        """Number of parts of each object: surfaces, its loose balls, its springs between these."""
+        found = [one.object for one in self.surfaces], np.unique(self.number[self.loose]), np.unique(self._tied)
+        return np.bincount(np.concatenate(found).astype(np.int64), minlength=len(self.names))
 
 
 def _at_seams(triangles: NDArray, uv: Floats) -> tuple[NDArray[np.int64], NDArray[np.int32], Floats, NDArray[np.int64]]:
@@ -245,18 +248,6 @@ def placed(frame: Frame) -> list[tuple[Floats, Floats]]:
         rotation[: frame.dim, : frame.dim] = one.rotation
         found.append((in_3d(one.centre[None])[0], rotation))
     return found
-
-
-def wall_square(plane: Floats, bounds: Bounds) -> tuple[Floats, Floats]:
-    """Corners (4, 3) [m] of the square that stands for a wall, a row of `Frame.walls`, of a scene with these bounds in 3D; and
-    its normal (3,), from which the corners are counter-clockwise. In 2D the first two lie along the wall."""
-    middle, reach = bounds.centre, 0.5 * FLOOR * max(float(bounds.size), 1e-6)
-    normal, offset = in_3d(plane[None, :-1])[0], plane[-1]
-    along = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    along /= np.linalg.norm(along)
-    across = np.cross(normal, along)
-    foot = middle + (offset - middle @ normal) * normal
-    return foot + reach * np.array([-along - across, along - across, along + across, across - along]), normal
 
 
 def collider_names(first: Frame, taken: Collection[str]) -> list[str]:

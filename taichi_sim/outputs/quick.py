@@ -9,7 +9,8 @@ from typing import Any
 from taichi_sim.common.errors import unknown_key
 from taichi_sim.common.progress import waiting
 from taichi_sim.outputs import open_output
-from taichi_sim.outputs.export import Summary, export
+from taichi_sim.outputs.export import export
+from taichi_sim.outputs.summary import Summary
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["output_options", "picture", "video"]

@@ -4,19 +4,12 @@ import os
 from fractions import Fraction
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.outputs.base import USUAL_FPS
 from taichi_sim.outputs.extras import needed
-from taichi_sim.outputs.parts import placed
 from taichi_sim.outputs.scene_film import SceneFilm
 from taichi_sim.outputs.usd_stage import Stage
-from taichi_sim.render.camera import Camera
 
 MODULES = ("pxr", *(f"pxr.{name}" for name in ("Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdShade", "Vt")))  # that are used
 
@@ -47,30 +40,9 @@ class Usd(SceneFilm):
             stage = Stage(part, self.log.first, fps, self.aspect, self.textures)
             self.fit_camera()
             for index, frame in self.log.frames():
-                stage.add(index, self._changes(frame))
+                stage.add(index, frame, self.camera(frame))
             stage.save(self.frames)
             with open(part, "r+b") as file:
                 os.fsync(file.fileno())
             os.replace(part, self.path)
         super().finish()
-
-    def _changes(self, frame: Frame) -> dict[str, Any]:
-        """Arrays of a frame by name, those that change from frame to frame; springs and triangles only where something has
-        torn."""
-        first = self.log.first
-        now: dict[str, Any] = {"position": frame.position.astype(np.float32), "time": np.array(frame.time)}
-        for name in ("springs", "triangles"):
-            if not np.array_equal(getattr(frame, name), getattr(first, name)):  # something has torn
-                now[name] = getattr(frame, name)
-        if len(frame.torn_triangles):
-            now["torn_triangles"] = frame.torn_triangles
-        if frame.colliders:
-            now["centres"], now["rotations"] = (np.array(part) for part in zip(*placed(frame)))
-        camera = self.camera(frame)
-        if camera is not None:
-            now["camera"] = _as_row(camera)
-        return now
-
-
-def _as_row(camera: Camera) -> NDArray[np.float64]:
-    return np.array([*camera.eye, *camera.target, *camera.up, camera.fov])

@@ -1,9 +1,7 @@
 """A USD file under construction: its prims from the first frame on, and what moves from frame to frame."""
 
-from collections.abc import Mapping
 from math import radians, tan
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
-from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d
+from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d, placed
 from taichi_sim.outputs.rods import ROD, from_z, rod
 from taichi_sim.outputs.wall_squares import wall_squares
 from taichi_sim.render.camera import Camera, robust_bounds
@@ -41,8 +39,9 @@ class Stage:
         self._stage.SetDefaultPrim(world)
         Usd.ModelAPI(world).SetKind("assembly")
         UsdGeom.Scope.Define(self._stage, MATERIALS)
-        self._first, self._aspect, self._textures = first, aspect, textures
-        self._last: dict[Any, NDArray] = {}  # what each attribute holds that seldom changes
+        self._aspect, self._textures = aspect, textures
+        self._last: dict[str, NDArray] = {}  # what each attribute holds that seldom changes
+        self._fov: float | None = None  # of the camera in the last frame [degrees]
         if first is not None:
             self._parts = Parts(first, textures)
             self._build(first)
@@ -53,8 +52,7 @@ class Stage:
         parts, self._objects = self._parts, list[str]()
         loose = parts.number[parts.loose]
         pairs, owner = parts.springs(first)
-        held = np.concatenate([[one.object for one in parts.surfaces], np.unique(loose), np.unique(owner)])
-        self._single = np.bincount(held.astype(np.int64), minlength=len(parts.names)) < 2
+        self._single = parts.held() < 2
         for name in parts.names:
             prim = self._define(UsdGeom.Xform, "/World", name).GetPrim()
             Usd.ModelAPI(prim).SetKind("component")
@@ -218,13 +216,12 @@ class Stage:
         image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(st)
         return image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
 
-    def add(self, index: int, now: Mapping[str, NDArray]) -> None:
-        """A frame."""
-        assert self._first is not None
-        parts, x = self._parts, in_3d(now["position"].astype(np.float64))
-        frame: Any = SimpleNamespace(
-            **{name: now.get(name, getattr(self._first, name)) for name in ("springs", "triangles")}
-        )
+    def add(self, index: int, frame: Frame, camera: Camera | None) -> None:
+        """Add a frame, as seen by a camera; None: by the one that stands still, in 2D."""
+        parts = self._parts
+        x = in_3d(
+            frame.position.astype(np.float32).astype(np.float64)
+        )  # what is derived from places is of those written
         for one, mesh, faces in zip(parts.surfaces, self._meshes, parts.triangles(frame)):
             points = one.points(x)
             self._faces(mesh, faces, index)
@@ -235,10 +232,10 @@ class Stage:
         pairs, owner = parts.springs(frame)
         for k, (rods, radius) in self._rods:
             self._span(rods, x[pairs[owner == k]], radius, index)
-        for k, place in enumerate(self._bodies):
-            self._seldom(place, _matrix(now["rotations"][k].T, now["centres"][k]), index)
-        if "camera" in now:
-            self._look(now["camera"], index)
+        for prim, (centre, rotation) in zip(self._bodies, placed(frame)):
+            self._seldom(prim, _matrix(rotation.T, centre), index)
+        if camera is not None:
+            self._look(camera, index)
         if self._binary and self._unsaved > UNSAVED:
             self._stage.GetRootLayer().Save()
             self._unsaved = 0
@@ -292,21 +289,20 @@ class Stage:
         attribute.Set(value, index)
         self._unsaved += 12 * len(value)
 
-    def _look(self, now: NDArray, index: int) -> None:
+    def _look(self, camera: Camera, index: int) -> None:
         from pxr import Gf
 
-        camera = Camera(tuple(now[:3]), tuple(now[3:6]), tuple(now[6:9]), float(now[9]))
         right, up, forward = camera.axes()
-        self._seldom(self._camera_place, _matrix(np.stack([right, up, -forward]), now[:3]), index)
-        if "camera" not in self._last or self._last["camera"][9] != now[9]:
+        self._seldom(self._camera_place, _matrix(np.stack([right, up, -forward]), np.array(camera.eye)), index)
+        if self._fov != camera.fov:
             self._camera.GetFocalLengthAttr().Set(0.5 * APERTURE / tan(radians(0.5 * camera.fov)), index)
-        if "camera" not in self._last:
+        if self._fov is None:
             self._camera.CreateVerticalApertureAttr(APERTURE)
             self._camera.CreateHorizontalApertureAttr(APERTURE * self._aspect)
-            away = float(np.linalg.norm(now[3:6] - now[:3]))
+            away = float(np.linalg.norm(np.subtract(camera.target, camera.eye)))
             self._camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * away, 100.0 * away))
             self._camera.CreateFocusDistanceAttr(away)
-        self._last["camera"] = now
+        self._fov = camera.fov
 
     def _look_at_plane(self, bounds: Any) -> None:
         from pxr import Gf, UsdGeom

@@ -4,7 +4,7 @@ import logging
 import os
 import platform
 from asyncio import TimeoutError
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager, suppress
@@ -18,14 +18,15 @@ from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.signals import heard, without_interrupts
 from taichi_sim.common.version import __version__
 
-__all__ = ["MOST_REPEATS", "Here", "Workers", "connected", "forget", "kept", "place", "require_workers"]
+__all__ = ["MOST_ENDS", "Here", "Workers", "connected", "forget", "kept", "place", "require_workers"]
 
 AHEAD = 3  # tasks for each worker that wait for it
-MOST_REPEATS = 3  # of a task whose worker ended
+MOST_ENDS = 4  # of workers of one task
 PATIENCE = 10.0  # s, for a scheduler
 Task = Any
 Kept = TypeVar("Kept")
-Work = Callable[[Task], Any]
+Work, Parts = Callable[[Task], Any], Callable[[Task], list[Task]]
+Results = Iterator[tuple[Task, Any]]
 
 
 _kept: tuple[Any, Any] | None = None  # of this process: the key of what its tasks work with, and that itself
@@ -53,9 +54,7 @@ class Here:
 
     said, number, apart = "in this process", 1, False
 
-    def run(
-        self, work: Work, waiting: deque[Task], what: str, alone: deque[Task] | None = None
-    ) -> Iterator[tuple[Task, Any]]:
+    def run(self, work: Work, waiting: deque[Task], what: str, parts: Parts = lambda task: [task]) -> Results:
         """Each task with what `work` makes of it. More may be put into `waiting` meanwhile. what: the work, for messages."""
         while waiting:
             task = waiting.popleft()
@@ -76,18 +75,17 @@ class Workers:
         workers = f"{self.number} worker{'s' * (self.number != 1)}"
         return f"{workers}, {self.client.dashboard_link}" if self.watched else workers
 
-    def run(
-        self, work: Work, waiting: deque[Task], what: str, alone: deque[Task] | None = None
-    ) -> Iterator[tuple[Task, Any]]:
-        """Run tasks, with arguments as those of `Here.run`, and yield them in the order in which they end. The result of a
-        task whose worker ended is None: another task of that worker may have ended it. Such a task may be put into `waiting`
-        again, or into `alone`: tasks there run at the end, one by one, with no other task on any worker.
+    def run(self, work: Work, waiting: deque[Task], what: str, parts: Parts = lambda task: [task]) -> Results:
+        """Run tasks, with arguments as those of `Here.run`, and yield them in the order in which they end. One whose worker
+        ended is repeated in its `parts`, for another task of that worker may have ended it; the last time at the end, with no
+        other task on any worker. The result of a part that ended MOST_ENDS workers is None.
 
         Raises BackendError where `work` fails, or the scheduler is lost."""
         from distributed import as_completed
         from distributed.comm import CommClosedError
 
         running: dict[Any, Task] = {}
+        ends, alone = Counter[str](), deque[Task]()
         done = as_completed()
         try:
             while waiting or running or alone:
@@ -99,7 +97,16 @@ class Workers:
                     running[future] = task
                     done.add(future)
                 future = next(done)
-                yield running.pop(future), self._result(future, what)
+                task, result = running.pop(future), self._result(future, what)
+                if result is not None:
+                    yield task, result
+                    continue
+                for part in parts(task):
+                    ends[repr(part)] += 1
+                    if ends[repr(part)] < MOST_ENDS:
+                        (alone if ends[repr(part)] == MOST_ENDS - 1 else waiting).append(part)
+                    else:
+                        yield part, None
         except (CancelledError, CommClosedError):
             raise BackendError(
                 f"{what}: the scheduler was lost; give the same command again once there is one"

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.plain import plain
 
-__all__ = ["DESIGNS", "Axis", "Design", "axes_of", "axis_of", "plain", "seeded"]
+__all__ = ["DESIGNS", "Axis", "Design", "axes_of", "axis_of", "seeded"]
 
 DESIGNS = ("product", "random", "latin", "sobol")
 FORMS = "like 1,2,5 or 0.1:0.9:9 (9 values) or 1e2:1e4:5:log, or a range to sample, 0.1:0.9 or 1e2:1e4:log"
@@ -187,10 +188,3 @@ def _value(text: str) -> Any:
         except ValueError:
             pass
     return {"true": True, "false": False}.get(text, text)
-
-
-def plain(value: Any) -> Any:
-    """A value of Python for one of NumPy, lists for arrays."""
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    return [plain(one) for one in value] if isinstance(value, (list, tuple)) else value

@@ -2,7 +2,6 @@
 
 import hashlib
 import importlib
-import importlib.util
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError, did_you_mean, words_of
+from taichi_sim.files.source import run_as_module
 from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.design import RESERVED
 from taichi_sim.sweeps.subject import described, source_of, sources_of
@@ -174,23 +174,11 @@ def _source(function: Any) -> str:
 
 def _module(file: Path) -> Any:
     """A module of a file, by a name of its own: others may be called as it is."""
-    name = f"_measures_of_{hashlib.sha256(str(file).encode()).hexdigest()[:16]}"
-    if name not in sys.modules:
-        if not file.is_file():
-            raise FileNotFoundError(f"there is no file {file}")
-        if str(file.parent) not in sys.path:
-            sys.path.append(str(file.parent))  # what it imports
-        found = importlib.util.spec_from_file_location(name, file)
-        assert found is not None
-        assert found.loader is not None
-        module = importlib.util.module_from_spec(found)
-        sys.modules[name] = module
-        try:
-            found.loader.exec_module(module)
-        except BaseException:
-            del sys.modules[name]
-            raise
-    return sys.modules[name]
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {file}")
+    if str(file.parent) not in sys.path:
+        sys.path.append(str(file.parent))  # what it imports
+    return run_as_module(file, f"_measures_of_{hashlib.sha256(str(file).encode()).hexdigest()[:16]}")
 
 
 def loaded(function: Any) -> Callable[[Any], Any]:

@@ -2,7 +2,7 @@
 
 import io
 import os
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from functools import partial
@@ -20,7 +20,7 @@ from taichi_sim.outputs import Output, open_outputs
 from taichi_sim.outputs.base import abandon, require_alpha
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.whole_run import is_drawn_last
-from taichi_sim.studies.workers import MOST_REPEATS, connected, forget, kept, place
+from taichi_sim.studies.workers import MOST_ENDS, connected, forget, kept, place
 
 __all__ = ["draw"]
 
@@ -126,22 +126,13 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
     chunks = ((begin, min(count, begin + length)) for begin in range(0, count, length))
     waiting = deque(islice(chunks, AHEAD * engine.number))
     drawn: dict[int, Images] = {}  # what cannot be asked for yet, by its first frame
-    ended, following = Counter[int](), 0
-    alone: deque[tuple[int, int]] = deque()
+    following = 0
     work = partial(_packed_chunk if engine.apart else _draw_chunk, task)
     try:
-        with closing(engine.run(work, waiting, "pictures", alone)) as results:
+        with closing(engine.run(work, waiting, "pictures")) as results:
             for (begin, end), images in results:
                 if images is None:
-                    ended[begin] += 1
-                    if ended[begin] > MOST_REPEATS:
-                        times = ended[begin]
-                        raise BackendError(f"pictures {begin} to {end - 1}: their workers ended {times} times")
-                    if ended[begin] == MOST_REPEATS:
-                        alone.append((begin, end))
-                    else:
-                        waiting.appendleft((begin, end))
-                    continue
+                    raise BackendError(f"pictures {begin} to {end - 1}: their workers ended {MOST_ENDS} times")
                 drawn[begin] = images
                 while following in drawn:
                     ready = drawn.pop(following)

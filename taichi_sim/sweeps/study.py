@@ -1,7 +1,7 @@
 """Study: a scene of which points are run and measured, and the rows that a folder keeps of them. Sweeps and fits are studies."""
 
 import tempfile
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -13,7 +13,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.version import __version__
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.scene import Scene
-from taichi_sim.studies.workers import MOST_REPEATS, connected, place, require_workers
+from taichi_sim.studies.workers import MOST_ENDS, connected, place, require_workers
 from taichi_sim.sweeps.design import Axis
 from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import Measures, measures_of
@@ -43,7 +43,6 @@ class Study:
         self.subject, self.measures, self.kept = subject, measures, kept
         self._runner, self._kinds, self._connect, self._say = runner, kinds, connect, say
         self._engine: Any = None
-        self._repeated: Counter[str] = Counter()  # points whose worker ended, by key
 
     @property
     def rows(self) -> dict[str, Row]:
@@ -73,31 +72,16 @@ class Study:
         size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * self._engine.number))))
         work = partial(run_batch, self._runner.job) if self._engine.apart else self._runner.batch
         waiting: deque[Sequence[Point]] = deque(missing[k : k + size] for k in range(0, len(missing), size))
-        alone: deque[Sequence[Point]] = deque()
-        for batch, rows in self._engine.run(work, waiting, "sweep", alone):
+        for batch, rows in self._engine.run(work, waiting, "sweep", lambda batch: [[point] for point in batch]):
             if rows is None:
-                rows = self._again(batch, waiting, alone)
+                ended = f"its worker ended {MOST_ENDS} times: killed, or out of memory"
+                rows = [Row.of(point, error=ended) for point in batch]
             elif not batch_file(
                 self.kept.batches, rows, self.kept.mark
             ).is_file():  # its worker does not see the folder
                 keep_batch(self.kept.batches, rows, self.kept.mark)
             self.kept.add(rows)
             yield rows
-
-    def _again(
-        self, batch: Sequence[Point], waiting: deque[Sequence[Point]], alone: deque[Sequence[Point]]
-    ) -> list[Row]:
-        """Let points whose worker ended be repeated, each by itself, and the last time alone; rows that say so of those that
-        ended it again and again."""
-        ended = []
-        for point in batch:
-            self._repeated[point.key] += 1
-            times = self._repeated[point.key]
-            if times > MOST_REPEATS:
-                ended.append(Row.of(point, error=f"its worker ended {times} times: killed, or out of memory"))
-            else:
-                (alone if times == MOST_REPEATS else waiting).append([point])
-        return ended
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -10,7 +11,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common.errors import UnstableError
 from taichi_sim.common.signals import heard
-from taichi_sim.device.compiling import Expected, watched
+from taichi_sim.device.compiling import Expected
 from taichi_sim.forces.pointer import Pointer
 from taichi_sim.viewer.pace import Share
 from taichi_sim.viewer.player import Player, Rows
@@ -120,16 +121,9 @@ def show(
         words = server.viser.gui.add_markdown("reading the scene")
         try:
             simulation = stack.enter_context(simulate([pointer]))
-            begin, expected = time.perf_counter(), Expected.of(simulation, pictures=False)
-
-            def say_how_long() -> None:
-                words.content = expected.words(time.perf_counter() - begin)
-
-            say_how_long()
-            with watched(say_how_long):  # after each kernel
+            with Expected.of(simulation, pictures=False).told(partial(setattr, words, "content")):
                 simulation.step(0)
                 player = Player(simulation, pointer, min(fps, MOST_FPS), until)
-            expected.spent()
             words.remove()
             _Browsers(server, player, title, style or {}).run()
         except KeyboardInterrupt as error:  # as good an end as the close button of a window

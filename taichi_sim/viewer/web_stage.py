@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
-from taichi_sim.outputs.parts import Parts, Surface, in_3d, placed, wall_square
+from taichi_sim.outputs.parts import Parts, Surface, in_3d, placed
+from taichi_sim.outputs.wall_squares import wall_squares
 from taichi_sim.overlays.legend import UNITS
 from taichi_sim.render.camera import Camera, robust_bounds, triple
 from taichi_sim.render.colouring import Colouring
@@ -56,7 +57,7 @@ class WebStage:
         self.server, self.scene, self._grip = server, server.viser.scene, grip
         self._parts, self._first, self._style = Parts(first), first, style
         bounds, _ = robust_bounds(in_3d(first.position), first.radius)
-        self._bounds, self._centre, self._size = bounds, bounds.centre, bounds.size
+        self._centre, self._size = bounds.centre, bounds.size
         self.notes: list[str] = []
         self._shown: dict[str, Any] = {}  # handles by their names
         self._kept: tuple[Any, Any] = (None, None)  # springs of a frame, and those that are shown
@@ -222,16 +223,14 @@ class WebStage:
             line.points, line.visible = ends, True
 
     def _walls(self, first: Frame) -> None:
-        for k, plane in enumerate(first.walls if first.walls.size else ()):
-            corners, _ = wall_square(plane, self._bounds)
-            name = f"/wall{k}"
+        for k, one in enumerate(wall_squares(first)):
+            name, wall, corners = f"/wall{k}", one.body, self._to_page(one.body.vertices)
             if first.dim == 3:
-                faces = np.array([[0, 1, 2], [0, 2, 3]])
                 self.scene.add_mesh_simple(
-                    name, self._to_page(corners), faces, color=to_bytes(np.array(WALL)), side="front", cast_shadow=False
+                    name, corners, wall.triangles, color=to_bytes(np.array(WALL)), side="front", cast_shadow=False
                 )
             else:
-                ends = self._to_page(corners[:2] * [1.0, 1.0, 0.0])[None]
+                ends = (corners[:2] * np.float32([1.0, 1.0, 0.0]))[None]
                 self.scene.add_line_segments(
                     name, ends, to_bytes(0.7 * np.array(WALL)), thickness=3.0, thickness_units="screen"
                 )

@@ -13,7 +13,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import BackendError
 from taichi_sim.common.signals import heard
-from taichi_sim.device.compiling import Expected, watched
+from taichi_sim.device.compiling import Expected
 from taichi_sim.forces.pointer import Pointer
 from taichi_sim.outputs.base import Image
 from taichi_sim.viewer import overlay
@@ -81,19 +81,11 @@ def show(
         try:
             screen.say("reading the scene")
             simulation = stack.enter_context(simulate([pointer]))
-            begin, expected = time.perf_counter(), Expected.of(simulation, pictures=True)
-
-            def say_how_long() -> None:
-                screen.say(expected.words(time.perf_counter() - begin))
-
-            say_how_long()
-            with watched(say_how_long):  # after each kernel
+            with Expected.of(simulation, pictures=True).told(screen.say):
                 frame = simulation.frame()
                 renderer = stack.enter_context(Renderer(frame, size=size, **{**(style or {}), **SHARP}))
                 screen.picture[:] = renderer.render(frame)
                 simulation.step(0)
-            say_how_long()
-            expected.spent()
             window = _Window(screen, Player(simulation, pointer, fps, until), renderer, say)
             stack.callback(window.close)
             window.run()

@@ -76,6 +76,18 @@ def test_the_smaller_kernels_of_pictures_are_compiled_once_in_a_process(monkeypa
     assert expected("b", pictures=True).words() == "compiling kernels (about 5 s, less where they are cached)"
 
 
+def test_who_waits_is_told_at_once_and_after_each_kernel(monkeypatch):
+    said = []
+    with expected("a").told(said.append):
+        assert said == ["compiling kernels (about 4 s, less where they are cached)"]
+        with simulate(falling()) as sim:
+            sim.step(1)
+        number = len(said)
+        assert number > 1
+    assert len(said) == number
+    assert expected("a").words().startswith(("loading", "starting"))  # it is remembered
+
+
 MEASURE = """
 import sys, time, warnings
 from types import SimpleNamespace

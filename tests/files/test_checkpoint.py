@@ -1,6 +1,8 @@
 """Saving a simulation and going on from it."""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,20 +107,25 @@ def test_an_argument_can_be_replaced(tmp_path):
         assert again.time == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize("content", [b"not an archive", b""])
-def test_another_file_is_refused(tmp_path, content):
-    path = tmp_path / "other.npz"
-    path.write_bytes(content)
-    with pytest.raises(ts.SceneError, match=r"other\.npz: is not a state"):
-        ts.Simulation.restore(path)
-
-
-def test_a_missing_file_and_a_later_format_are_refused(tmp_path):
-    with pytest.raises(ts.SceneError, match="there is no such file"):
-        ts.Simulation.restore(tmp_path / "none.npz")
-    np.savez(tmp_path / "later.npz", about=np.array(json.dumps({"format": 99})))
-    with pytest.raises(ts.SceneError, match=f"format: 99 is not allowed; it must be {FORMAT}"):
-        ts.Simulation.restore(tmp_path / "later.npz")
+@pytest.mark.parametrize(
+    ("put", "said"),
+    [
+        (lambda path: path.write_bytes(b"not an archive"), r"other\.npz: is not a state that Simulation\.save wrote"),
+        (lambda path: path.write_bytes(b""), r"other\.npz: is not a state"),
+        (Path.mkdir, "is not a state"),
+        (lambda path: np.savez(path, about=np.array("[" * 50_000)), r"is not a state that Simulation\.save wrote"),
+        (lambda path: None, "there is no such file"),
+        (
+            lambda path: np.savez(path, about=np.array(json.dumps({"format": 99}))),
+            f"format: 99 is not allowed; it must be {FORMAT}",
+        ),
+    ],
+    ids=["text", "empty", "folder", "deep", "missing", "later"],
+)
+def test_another_file_is_refused(tmp_path, put, said):
+    put(tmp_path / "other.npz")
+    with pytest.raises(ts.SceneError, match=said):
+        ts.Simulation.restore(tmp_path / "other.npz")
 
 
 def test_saving_into_a_missing_folder_writes_nothing(tmp_path):
@@ -174,26 +181,37 @@ def test_what_kernels_follow_is_not_taken_from_an_edited_file(tmp_path, edit):
             assert np.abs(again.position - sim.position).max() < 1e-3
 
 
-@pytest.mark.parametrize(
-    "stepping", [{"monitor": -1}, {"monitor": [1, 2]}, {"largest_motion": None}, {"begin": 10**400}]
-)
-def test_plain_values_of_a_run_are_judged(tmp_path, stepping):
+@pytest.fixture(scope="module")
+def state(tmp_path_factory):
+    """A state that was saved, what its run counts by and its settings."""
+    path = tmp_path_factory.mktemp("saved") / "state.npz"
     with ts.Simulation(small_scene(), dt=2e-3) as sim:
         sim.step(3)
-        sim.save(tmp_path / "state.npz")
-        about = {"stepping": dict(sim.snapshot().stepping) | stepping}
-    _edited(tmp_path / "state.npz", signed=True, about=json.loads(json.dumps(about)))
-    with pytest.raises(ts.SceneError, match=r"state\.npz: stepping: is not what Simulation\.snapshot gives"):
-        ts.Simulation.restore(tmp_path / "state.npz")
+        sim.save(path)
+        stepping = json.loads(json.dumps(dict(sim.snapshot().stepping)))
+    return path, stepping, json.loads(str(np.load(path)["about"]))["settings"]
 
 
-def test_settings_of_a_state_are_judged_with_its_name(tmp_path):
-    with ts.Simulation(small_scene(), dt=2e-3) as sim:
-        sim.save(tmp_path / "state.npz")
-        settings = json.loads(str(np.load(tmp_path / "state.npz")["about"]))["settings"]
-    _edited(tmp_path / "state.npz", signed=True, about={"settings": settings | {"dt": -1.0}})
-    with pytest.raises(ts.SceneError, match=r"state\.npz: dt: -1\.0 is not allowed"):
-        ts.Simulation.restore(tmp_path / "state.npz")
+NOT_GIVEN = r"state\.npz: stepping: is not what Simulation\.snapshot gives"
+
+
+@pytest.mark.parametrize(
+    ("stepping", "settings", "said"),
+    [
+        ({"monitor": -1}, {}, NOT_GIVEN),
+        ({"monitor": [1, 2]}, {}, NOT_GIVEN),
+        ({"largest_motion": None}, {}, NOT_GIVEN),
+        ({"begin": 10**400}, {}, NOT_GIVEN),
+        ({}, {"dt": -1.0}, r"state\.npz: dt: -1\.0 is not allowed"),
+    ],
+    ids=str,
+)
+def test_plain_values_of_a_run_are_judged(tmp_path, state, stepping, settings, said):
+    """Those of a file that says that the program wrote it."""
+    path = shutil.copy(state[0], tmp_path)
+    _edited(path, signed=True, about={"stepping": state[1] | stepping, "settings": state[2] | settings})
+    with pytest.raises(ts.SceneError, match=said):
+        ts.Simulation.restore(path)
 
 
 @pytest.mark.parametrize(
@@ -210,17 +228,11 @@ def test_settings_of_a_state_are_judged_with_its_name(tmp_path):
     ],
     ids=str,
 )
-def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, changes):
-    with ts.Simulation(small_scene(), dt=2e-3) as sim:
-        sim.save(tmp_path / "state.npz")
-    _edited(tmp_path / "state.npz", **changes)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path, state, changes):
+    path = shutil.copy(state[0], tmp_path)
+    _edited(path, **changes)
     with pytest.raises(ts.SceneError, match=r"state\.npz: is not a state"):
-        ts.Simulation.restore(tmp_path / "state.npz")
-
-
-def test_a_folder_is_refused(tmp_path):
-    with pytest.raises(ts.SceneError, match="is not a state"):
-        ts.Simulation.restore(tmp_path)
+        ts.Simulation.restore(path)
 
 
 @pytest.mark.slow
@@ -272,12 +284,6 @@ def test_paths_in_the_output_are_texts(tmp_path):
         assert sim.scene.output["camera"] == {"azimuth": 30.0}
     scene.save(tmp_path / "x.toml")
     assert "wood.png" in (tmp_path / "x.toml").read_text()
-
-
-def test_a_state_that_lies_deep_is_refused(tmp_path):
-    np.savez(tmp_path / "state.npz", about=np.array("[" * 50_000))
-    with pytest.raises(ts.SceneError, match=r"is not a state that Simulation\.save wrote"):
-        ts.Simulation.restore(tmp_path / "state.npz")
 
 
 def test_an_output_that_restore_would_refuse_is_not_saved(tmp_path):

@@ -85,6 +85,16 @@ def test_a_path_changes_the_scene_of_a_file(files, name):
     assert made.settings["dt"] == 2e-3
 
 
+def test_a_python_file_that_failed_is_run_anew(files):
+    """As in a notebook, once it is mended."""
+    (files / "mended.py").write_text("1 / 0\n" + PYTHON)
+    for _ in range(2):
+        with pytest.raises(SceneError, match="division by zero"):
+            open_scene(files / "mended.py")
+    (files / "mended.py").write_text(PYTHON)
+    assert len(open_scene(files / "mended.py").position) == 1
+
+
 def test_arguments_of_a_python_scene(files):
     made = open_scene(files / "p.py", parameters={"height": 3.0, "balls[0].radius": 0.2})
     assert made.position[0, 1] == 3.0

@@ -142,7 +142,9 @@ def test_colliders_camera_and_floor(frames, player):
     assert np.allclose(player.of_node("moon", "translation", time), (5, 0.6 * time, 0), atol=1e-6)
     half = np.radians(60.0 * time) / 2
     assert np.allclose(player.of_node("box_0", "rotation", time), (0, 0, np.sin(half), np.cos(half)), atol=1e-6)
-    assert np.allclose(player.points("wall_0", 0.0)[:, 1], -1.0)
+    square = player.points("wall_0", 0.0)
+    assert np.allclose(square[:, 1], -1.0)
+    assert np.cross(square[1] - square[0], square[2] - square[1])[1] > 0  # counter-clockwise from above
     camera = Camera.fit(frames, 16 / 9)
     node = player.nodes["camera"]
     about = player.json["cameras"][node["camera"]]["perspective"]

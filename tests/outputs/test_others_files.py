@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import pytest
 from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with, make
@@ -84,37 +85,23 @@ def cut_off(folder, name, **options):
         )
 
 
-@pytest.mark.parametrize(("name", "file"), [("x.gif", "pictures"), ("x.mp4", "run.json"), ("x.gif", "lock")])
-def test_links_within_what_is_kept(tmp_path, precious, name, file):
-    """As in an archive that somebody sends: it is not ours, whatever its record says."""
+WITHIN = [("x.gif", "pictures"), ("x.mp4", "run.json"), ("x.gif", "lock")]
+
+
+@pytest.mark.parametrize(
+    ("name", "file", "put", "what"),
+    [(*one, Path.symlink_to, "a link") for one in WITHIN]
+    + [(*one, Path.hardlink_to, "also the file of another name") for one in WITHIN]
+    + [("x.gif", "pictures", lambda inside, _: os.mkfifo(inside), "a pipe")],
+)
+def test_what_stands_in_place_of_a_file_that_is_kept(tmp_path, precious, name, file, put, what):
+    """As in an archive that somebody sends: it is not ours, whatever its record says, and is not written into."""
     cut_off(tmp_path, name)
     inside = tmp_path / f".{name}.resume" / file
     inside.unlink()
-    inside.symlink_to(precious / "thesis.txt")
-    with pytest.raises(OSError, match=rf"\.resume: holds {file!r}, which is a link; .* remove it"):
+    put(inside, precious / "thesis.txt")
+    with pytest.raises(OSError, match=rf"\.resume: holds {file!r}, which is {what}; .* remove it"):
         make(tmp_path, name, resume=True)
-
-
-@pytest.mark.parametrize(("name", "file"), [("x.gif", "pictures"), ("x.mp4", "run.json"), ("x.gif", "lock")])
-def test_hard_links_within_what_is_kept(tmp_path, precious, name, file):
-    """A second name of somebody else's file would be written into."""
-    cut_off(tmp_path, name)
-    inside = tmp_path / f".{name}.resume" / file
-    inside.unlink(missing_ok=True)
-    inside.hardlink_to(precious / "thesis.txt")
-    with pytest.raises(
-        OSError, match=rf"\.resume: holds {file!r}, which is also the file of another name; .* remove it"
-    ):
-        make(tmp_path, name, resume=True)
-
-
-def test_a_pipe_within_what_is_kept(tmp_path):
-    cut_off(tmp_path, "x.gif")
-    inside = tmp_path / ".x.gif.resume" / "pictures"
-    inside.unlink()
-    os.mkfifo(inside)
-    with pytest.raises(OSError, match=r"\.resume: holds 'pictures', which is a pipe; .* remove it"):
-        make(tmp_path, "x.gif", resume=True)
 
 
 def test_what_others_put_into_what_is_kept_stays(tmp_path):
@@ -149,32 +136,6 @@ def test_a_checkpoint_names_files_of_its_own_folder_alone(tmp_path):
         run(tmp_path, "x.npz", resume=True)
 
 
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_link_in_place_of_the_batches_of_a_sweep(tmp_path, precious, overwrite):
-    about = {"scene": {"name": "a"}}
-    first = SweepFolder(tmp_path / "swept", about)
-    first.begin()
-    first.close()
-    (tmp_path / "swept" / "batches").rmdir()
-    (tmp_path / "swept" / "batches").symlink_to(precious, target_is_directory=True)
-    with pytest.raises(OSError, match=r"batches: is a link; .* remove it"):
-        SweepFolder(tmp_path / "swept", about, overwrite)
-
-
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_what_others_put_into_the_batches_of_a_sweep_stays(tmp_path, overwrite):
-    about = {"scene": {"name": "a"}}
-    first = SweepFolder(tmp_path / "swept", about)
-    first.begin()
-    first.close()
-    (tmp_path / "swept" / "batches" / "mine.jsonl").write_text("mine")
-    (tmp_path / "swept" / "batches" / "folder").mkdir()
-    again = SweepFolder(tmp_path / "swept", about, overwrite)
-    again.begin()
-    again.close()
-    assert (tmp_path / "swept" / "batches" / "mine.jsonl").read_text() == "mine"
-
-
 def begun(kind, folder):
     """The folder of a study that was begun."""
     one = kind(folder, {"a": 1})
@@ -182,6 +143,26 @@ def begun(kind, folder):
         one.begin()
     one.close()
     return folder
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_link_in_place_of_the_batches_of_a_sweep(tmp_path, precious, overwrite):
+    batches = begun(SweepFolder, tmp_path / "swept") / "batches"
+    batches.rmdir()
+    batches.symlink_to(precious, target_is_directory=True)
+    with pytest.raises(OSError, match=r"batches: is a link; .* remove it"):
+        SweepFolder(tmp_path / "swept", {"a": 1}, overwrite)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_others_put_into_the_batches_of_a_sweep_stays(tmp_path, overwrite):
+    batches = begun(SweepFolder, tmp_path / "swept") / "batches"
+    (batches / "mine.jsonl").write_text("mine")
+    (batches / "folder").mkdir()
+    again = SweepFolder(tmp_path / "swept", {"a": 1}, overwrite)
+    again.begin()
+    again.close()
+    assert (batches / "mine.jsonl").read_text() == "mine"
 
 
 STUDIES = [

@@ -21,7 +21,7 @@ from taichi_sim.device.backend import Backend
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs import Output, export, open_output
 from taichi_sim.outputs.companion import StepError
-from taichi_sim.outputs.export import Summary
+from taichi_sim.outputs.summary import Summary
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once
@@ -356,6 +356,17 @@ def test_the_energies_of_the_summary_have_one_unit(off, said):
     assert f"energy       0.3 J at the start, {said} at the end (kinetic 0, spring 0, gravity 0.2)" in lines
 
 
+def test_the_summary_has_the_last_least_and_largest_reading_of_probes():
+    """Of a mean, which has none at first, too."""
+
+    class Probed(FakeSimulation):
+        def probes(self):
+            read = (1.0, 5.0, -2.0, 3.0)[self.asked - 1]
+            return {"a": read, "mean": read if self.asked > 1 else np.nan}
+
+    assert export(Probed(), None, fps=10, duration=0.3).probes == {"a": (3, -2, 5), "mean": (3, -2, 5)}
+
+
 def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
     known = {"load.magnitude": (1e-17, 1e-17, 1e-17), "b.x": (0.0, 0.0, 0.0), "c.x": (0.01, 0.01, 0.01)}
     known["d.x"] = (0.01, 0.0, 0.01)
@@ -502,18 +513,6 @@ def test_any_other_end_leaves_what_was_there(tmp_path, name, error):
     kept = [] if name == "x.npz" else [f".{name}.resume"]
     assert sorted(p.name for p in tmp_path.iterdir()) == [*kept, name]
     assert (tmp_path / name).read_text() == "old"
-
-
-def test_an_interrupted_folder_is_resumed(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        export(FakeSimulation(3, KeyboardInterrupt()), open_output(tmp_path / "frames"), duration=5 / 60, size=SIZE)
-    folder = tmp_path / "frames"
-    kept = {p.name: p.stat().st_mtime_ns for p in folder.glob("*.png")}
-    assert len(kept) == 3
-    out = make(tmp_path, "frames", duration=0.1, resume=True)
-    assert out.frames == 6
-    assert len(list(folder.iterdir())) == 6
-    assert all((folder / name).stat().st_mtime_ns == time for name, time in kept.items())
 
 
 def test_overwrite_replaces_frames_and_nothing_else(tmp_path):

@@ -184,11 +184,15 @@ def test_a_busy_machine_recommends_what_an_idle_one_does():
         assert [one.passes for one in found] == [900.0, 1000.0]
 
 
+def known_to(error):
+    """A reference whose error is that at every end."""
+    ends, x, none, energy = np.full(PARTS, error), np.ones((PARTS, 2, 2)), np.ones((PARTS, 0)), np.ones((PARTS, 4))
+    return Reference("rk4", 1e-3, 1.0, x, none, energy, ends, 0 * ends + 1.0, ends, 0, False, "")
+
+
 def test_runs_that_are_exact_are_said_to_be_so():
     """The reference is known to rounding, as are two runs; one is off by more."""
-    ends = np.full(PARTS, 2e-15)
-    x, none, energy = np.ones((PARTS, 2, 2)), np.ones((PARTS, 0)), np.ones((PARTS, 4))
-    reference = Reference("rk4", 1e-3, 1.0, x, none, energy, ends, 0 * ends + 1.0, ends, 0, False, "")
+    reference = known_to(2e-15)
     found = Findings(plan(), pair(), reference, [row(1.0, 1e-15), row(2.0, 0.0), row(2.0, 1e-3)], [])
     said = " ".join(found.about())
     assert "2 runs agree with the reference to rounding" in said
@@ -207,9 +211,7 @@ def test_runs_that_are_exact_are_said_to_be_so():
     ],
 )
 def test_runs_that_became_unstable_are_told_by_the_safe_step(parts, said):
-    ends = np.full(PARTS, 1e-6)
-    x, none, energy = np.ones((PARTS, 2, 2)), np.ones((PARTS, 0)), np.ones((PARTS, 4))
-    reference = Reference("rk4", 1e-3, 1.0, x, none, energy, ends, 0 * ends + 1.0, ends, 0, False, "")
+    reference = known_to(1e-6)
     wild = [replace(row(1.0, 1e-3, "unstable"), part_of_safe_step=part) for part in parts]
     lines = list(Findings(plan(), pair(), reference, [row(2.0, 1e-3), *wild], []).lines())
     assert any(line.startswith(said) for line in lines)
@@ -239,9 +241,7 @@ def test_key_knows_the_scene():
 
 @pytest.mark.parametrize("verdict", ["stable", "unstable", "left out"])
 def test_the_reference_is_blamed_only_where_a_run_was_stable(verdict):
-    ends = np.full(PARTS, 1e-6)
-    x, none, energy = np.ones((PARTS, 2, 2)), np.ones((PARTS, 0)), np.ones((PARTS, 4))
-    reference = Reference("rk4", 1e-3, 1.0, x, none, energy, ends, 0 * ends + 1.0, ends, 0, False, "")
+    reference = known_to(1e-6)
     said = " ".join(Findings(plan(), pair(), reference, [row(1.0, 1e-7, verdict)], []).about())
     assert ("No method's error can be told" in said) == (verdict == "stable")
     assert ("No run was stable" in said) == (verdict != "stable")

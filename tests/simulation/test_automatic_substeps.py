@@ -9,7 +9,7 @@ from taichi_sim.analysis.frame import Contacts
 from taichi_sim.analysis.late_impacts import late_rate
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import SINKING, sinking_spring, sinking_step, stability
-from taichi_sim.outputs.export import Summary
+from taichi_sim.outputs.summary import Summary
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once

@@ -359,29 +359,28 @@ def test_the_wall_time_counts_what_was_drawn(tmp_path, monkeypatch, capfd):
 # Schedulers --------------------------------------------------------------------------------------------------------
 
 
-class Mortal:
-    """Workers of which some end: the first `ends` times that a chunk is drawn."""
+class Late:
+    """Workers that give the second chunk after the third, and nothing of the frame `lost`, which ended each of them."""
 
     apart, number = True, 1
 
-    def __init__(self, ends):
-        self.ends, self.asked = ends, []
+    def __init__(self, lost=-1):
+        self.lost = lost
 
-    def run(self, work, waiting, what, alone):
-        while waiting or alone:
-            begin, end = (waiting or alone).popleft()
-            self.asked.append(begin)
-            yield (begin, end), None if self.asked.count(begin) <= self.ends else list(np.arange(begin, end))
+    def run(self, work, waiting, what):
+        first, second, third = (waiting.popleft() for _ in range(3))
+        waiting.extendleft([second, third, first])
+        while waiting:
+            begin, end = waiting.popleft()
+            yield (begin, end), None if begin <= self.lost < end else list(np.arange(begin, end))
 
 
 @pytest.mark.once
-def test_a_chunk_whose_worker_ended_is_drawn_by_another_in_its_place(monkeypatch):
+def test_a_chunk_that_comes_late_is_in_its_place_and_one_that_never_comes_is_said(monkeypatch):
     monkeypatch.setattr(pictures, "MOST_IN_CHUNK", 3)
-    workers = Mortal(cluster.MOST_REPEATS)
-    assert list(pictures._images(workers, (), 32)) == list(range(32))
-    assert workers.asked.count(6) == cluster.MOST_REPEATS + 1
-    with pytest.raises(ts.BackendError, match="pictures 0 to 2: their workers ended 4 times"):
-        list(pictures._images(Mortal(cluster.MOST_REPEATS + 1), (), 32))
+    assert list(pictures._images(Late(), (), 32)) == list(range(32))
+    with pytest.raises(ts.BackendError, match="pictures 3 to 5: their workers ended 4 times"):
+        list(pictures._images(Late(lost=4), (), 32))
 
 
 class Client:

@@ -4,7 +4,7 @@ import csv
 import gc
 import json
 import pickle
-from collections import deque
+from collections import Counter, deque
 from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from threading import Thread
@@ -414,7 +414,7 @@ def test_the_table_of_an_interrupted_sweep_has_what_workers_do_before_they_end(t
 
         said, number, apart = "slow", 1, True
 
-        def run(self, work, waiting, what, alone):
+        def run(self, work, waiting, what, parts):
             self.batches, self.folder, self.mark = list(waiting), tmp_path / "s" / "batches", work.args[0].mark
             keep_batch(self.folder, rows := [Row.of(point) for point in self.batches[0]], self.mark)
             yield self.batches[0], rows
@@ -557,9 +557,10 @@ class OneWorker:
     status = "running"
 
     def __init__(self):
-        self.sent = []
+        self.sent, self.submitted = [], Counter()
 
     def submit(self, work, task, **given):
+        self.submitted.update(point.parameters["restitution"] for point in task)
         self.sent.append(Future(work, task))
         return self.sent[-1]
 
@@ -601,6 +602,8 @@ def test_a_point_that_waits_behind_one_that_ends_its_worker_is_not_blamed(tmp_pa
     points = [Point({"restitution": value}) for value in (0.5, 0.2, 0.4, 0.6)]
     rows = [row for some in run(points) for row in some]
     assert [row.parameters["restitution"] for row in rows if row.error] == [0.5]
+    assert [row.error for row in rows if row.error] == ["its worker ended 4 times: killed, or out of memory"]
+    assert client.submitted == {0.5: 4, 0.2: 4, 0.4: 4, 0.6: 4}
     assert sorted(row.parameters["restitution"] for row in rows if not row.error) == [0.2, 0.4, 0.6]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from taichi_sim.common.progress import showing
 from taichi_sim.reports.speed_error import budget as budgets
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
@@ -20,7 +21,7 @@ from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.reports.speed_error.resolution import Finer
 from taichi_sim.reports.speed_error.rows import LEFT_OUT
-from taichi_sim.reports.speed_error.runs import Runs, progress_bar
+from taichi_sim.reports.speed_error.runs import Runs
 from taichi_sim.reports.speed_error.trial_process import Outcome, TrialProcesses
 from taichi_sim.reports.speed_error.trials import Trials
 from taichi_sim.scene.scene import Scene
@@ -48,7 +49,8 @@ def main(
     from taichi_sim.reports.speed_error.pages import write_pages
 
     with closing(ReportFolder(out, about(scene, plan), overwrite)) as folder:
-        with progress_bar(progress) as runs, TrialProcesses(scene, plan, runs) as processes:
+        runs = Runs()
+        with showing(runs, progress), TrialProcesses(scene, plan, runs) as processes:
             findings = _run_all(Trials(scene, plan, processes, folder), folder, say, runs, meshes)
         write_pages(findings, folder)
         folder.complete(findings.rows)

@@ -1,10 +1,8 @@
 """Progress of a report or of tune: which run is in progress, how many are done and about how many there will be."""
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 
-from taichi_sim.common.progress import Work, showing
+from taichi_sim.common.progress import Work
 
 
 class Runs(Work):
@@ -25,11 +23,3 @@ class Runs(Work):
         self.expect(-1)
         start = time.monotonic()
         self.words = lambda: f"{what}, begun {time.monotonic() - start:.0f} s ago"
-
-
-@contextmanager
-def progress_bar(shown: bool) -> Iterator[Runs]:
-    """Show which run is in progress."""
-    runs = Runs()
-    with showing(runs, shown):
-        yield runs

@@ -15,6 +15,7 @@ from taichi_sim.analysis.outcome import left_out, not_included
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.atomic_file import PartFile
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.progress import showing
 from taichi_sim.common.quantities import EXACT, measured, percent
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
@@ -24,7 +25,7 @@ from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitt
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
-from taichi_sim.reports.speed_error.runs import Runs, progress_bar
+from taichi_sim.reports.speed_error.runs import Runs
 from taichi_sim.reports.speed_error.trial_process import TrialProcesses
 from taichi_sim.reports.speed_error.trials import Trials
 from taichi_sim.scene.scene import Scene
@@ -52,7 +53,8 @@ def main(
 
     Raises ValueError, OSError, BackendError.
     """
-    with progress_bar(progress) as runs, TrialProcesses(scene, plan, runs) as processes:
+    runs = Runs()
+    with showing(runs, progress), TrialProcesses(scene, plan, runs) as processes:
         runs.expect(references.RUNS + len(plan.methods) * len(plan.precisions))
         trials = Trials(scene, plan, processes)
         reference = references.make(trials, plan.tolerance / WELL_KNOWN)
