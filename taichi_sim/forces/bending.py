@@ -62,7 +62,7 @@ class Bending(Corners):
             change = self._change(ball, i, row)
             square = bent.dot(bent)
             if square > 0.0:
-                change = bent.dot(change) / square * bent
+                change = ti.cast(bent.dot(change) / square * bent, float)
             pull += row.damping * change
         return -row.own * pull
 
@@ -86,7 +86,7 @@ class Bending(Corners):
             square = bent.dot(bent)
             rate = change.dot(change)
             if square > 0.0:
-                rate = bent.dot(change) ** 2 / square
+                rate = ti.cast(bent.dot(change) ** 2 / square, float)
             loss = 0.5 * ti.cast(self._share(row) * row.damping * rate, real)
         return loss
 
@@ -97,7 +97,7 @@ class Bending(Corners):
         turned = row.wa * (ball[row.a].p - p) + row.wb * (ball[row.b].p - p) + row.wc * (ball[row.c].p - p)
         product = s * (s * row.stiffness) * turned
         if ti.static(self.damped):
-            bent = self._curve(ball, i, row)
+            bent = ti.cast(self._curve(ball, i, row), float)
             square = bent.dot(bent)
             if square > 0.0:
                 turned = bent.dot(turned) / square * bent
@@ -110,7 +110,7 @@ class Bending(Corners):
         one = ti.Matrix.identity(float, self.dim)
         block = s * (s * row.stiffness) * one
         if ti.static(self.damped):
-            bent = self._curve(ball, i, row)
+            bent = ti.cast(self._curve(ball, i, row), float)
             square = bent.dot(bent)
             if square > 0.0:
                 one = bent.outer_product(bent) / square

@@ -73,15 +73,15 @@ class Bricks(NeoHookean):
         corners = self.brick[e].balls
         u = ti.Matrix.zero(real, self.k, self.dim)
         for c in ti.static(range(1, self.k)):
-            d = ti.Vector.zero(float, self.dim)
+            d = ti.Vector.zero(real, self.dim)
             if ti.static(member == "x"):
-                d = ball[corners[c]].x - ball[corners[0]].x
+                d = ti.cast(ball[corners[c]].x - ball[corners[0]].x, real)
             elif ti.static(member == "v"):
-                d = ball[corners[c]].v - ball[corners[0]].v
+                d = ti.cast(ball[corners[c]].v - ball[corners[0]].v, real)
             else:
-                d = ball[corners[c]].p - ball[corners[0]].p
+                d = ti.cast(ball[corners[c]].p - ball[corners[0]].p, real)
             for j in ti.static(range(self.dim)):
-                u[c, j] = ti.cast(d[j], real) / self.k
+                u[c, j] = d[j] / self.k
         for bit in ti.static(self.bits):
             for c in ti.static(range(self.k)):
                 if ti.static(c & bit == 0):
@@ -159,16 +159,18 @@ class Bricks(NeoHookean):
         """Forces on the corners of each brick."""
         for e in range(self.count):
             law = self.law[self.brick[e].law]
-            u = self._amplitudes(ball, e, "x", float)
-            gradient = self._gradient(u, law.slope, float)
-            stress, q = self.stress_of(gradient, law), self._turned_back(gradient, u, float)
+            u = self._amplitudes(ball, e, "x", ball.x.dtype)
+            gradient = self._gradient(u, law.slope, ball.x.dtype)
+            stress, q = self.stress_of(gradient, law), self._turned_back(gradient, u, ball.x.dtype)
             if ti.static(self.viscous):
-                w = self._amplitudes(ball, e, "v", float)
-                change = self._gradient(w, law.slope, float)
+                w = self._amplitudes(ball, e, "v", ball.x.dtype)
+                change = self._gradient(w, law.slope, ball.x.dtype)
                 rate = gradient.transpose() @ change
                 stress += law.delay * law.mu * gradient @ (rate + rate.transpose())
-                q += law.delay * (self._turned_back(change, u, float) + self._turned_back(gradient, w, float))
-            self._push(e, law, stress, gradient, u, self._bending(q, law, float))
+                q += law.delay * self._turned_back(change, u, ball.x.dtype)
+                q += law.delay * self._turned_back(gradient, w, ball.x.dtype)
+            t = ti.cast(self._bending(q, law, ball.x.dtype), float)
+            self._push(e, law, ti.cast(stress, float), ti.cast(gradient, float), ti.cast(u, float), t)
 
     # The derivatives, for implicit methods: those of Q without what is negative
 

@@ -70,7 +70,7 @@ class Cells(Corners):
     def _volume(self, ball: ti.template(), i, row):
         """Signed volume of a row's cell, and its gradient at ball i."""
         a = ball[row.a].x
-        g = ti.Vector.zero(float, self.dim)
+        g = ti.Vector.zero(ball.x.dtype, self.dim)
         if ti.static(self.dim == 3):
             g = (ball[row.b].x - a).cross(ball[row.c].x - a) / -6.0
         else:
@@ -82,7 +82,7 @@ class Cells(Corners):
     def _together(self, ball: ti.template(), g):
         """Volume of group g in parts of that at rest, its moduli, and the volume at rest."""
         volume, rest, strength, crush = (
-            ti.cast(0.0, float),
+            ti.cast(0.0, ball.x.dtype),
             ti.cast(0.0, float),
             ti.cast(0.0, float),
             ti.cast(0.0, float),
@@ -96,7 +96,7 @@ class Cells(Corners):
                 rest += 1.0 / row.inverse
                 strength += row.modulus / row.inverse
                 crush += row.crush / row.inverse
-        part = ti.cast(1.0, float)
+        part = ti.cast(1.0, ball.x.dtype)
         if rest > 0.0:
             part = volume / rest
             strength /= rest
@@ -109,7 +109,7 @@ class Cells(Corners):
         if ti.static(self.shared):
             for g in range(self.groups):
                 part, modulus, crush, _ = self._together(ball, g)
-                self.pressure[g] = modulus * (part - 1.0) + crush * min(part - CRUSHED, 0.0)
+                self.pressure[g] = ti.cast(modulus * (part - 1.0) + crush * min(part - CRUSHED, 0.0), float)
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
@@ -162,7 +162,7 @@ class Cells(Corners):
     def _swelling(self, ball: ti.template(), i, row):
         """Change of the volume of a row's cell by ball[j].p."""
         a, p = ball[row.a].x, ball[row.a].p
-        x, q, swelling = ball[i].x - a, ball[i].p - p, ti.cast(0.0, float)
+        x, q, swelling = ball[i].x - a, ball[i].p - p, ti.cast(0.0, ball.x.dtype)
         if ti.static(self.dim == 3):
             b, c = ball[row.b].x - a, ball[row.c].x - a
             turned = (ball[row.b].p - p).cross(c) + b.cross(ball[row.c].p - p)
@@ -170,7 +170,7 @@ class Cells(Corners):
         else:
             b, turned = ball[row.b].x - a, ball[row.b].p - p
             swelling = 0.5 * (b[0] * q[1] - b[1] * q[0] + turned[0] * x[1] - turned[1] * x[0])
-        return swelling
+        return ti.cast(swelling, float)
 
     @ti.func
     def prepare_product(self, ball: ti.template(), s):

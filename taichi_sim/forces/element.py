@@ -64,7 +64,7 @@ class Element(Corners):
     and of s / 2 times the power that damping takes. Places and velocities are those of the end of a stage of s seconds.
     """
 
-    elastic = False
+    elastic = refined = False
     balls: ArrayLike
     force: Callable[..., Any]
     product: Any = None  # a ti.func

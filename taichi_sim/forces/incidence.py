@@ -20,8 +20,9 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 class Corners:
     """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
     the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
-    see kernels.loops.list_entry. derivatives: 1 where the energy is of strains, 2 where it is of curvatures. `gone` (r), where
-    springs can tear: rows whose element has lost a side, see forces.tearing.
+    see kernels.loops.list_entry. derivatives: 1 where the energy is of strains, 2 where it is of curvatures. refined: in an
+    implicit stage ball[j].x has double precision. `gone` (r), where springs can tear: rows whose element has lost a side, see
+    forces.tearing.
 
     Elements that give `corner_product`, `corner_block` and `corner_energy` are implicit in implicit methods: a stage of s seconds
     that ends at places x = p + s v minimises sum m |q - v|^2 / 2 + W(x) + s R(x, v), W the energy and R half of the power that
@@ -31,6 +32,7 @@ class Corners:
     `prepare`, `prepare_blocks` and `prepare_product`, which run before."""
 
     may_slice = False
+    refined = True
     derivatives = 1
 
     def gather(
@@ -151,7 +153,7 @@ class Corners:
         for t in range(self.start[i + 1] - self.start[i]):
             e = list_entry(self, i, t)
             if self.is_whole(e):
-                f += self.corner_force(ball, i, self.row[e], time)
+                f += ti.cast(self.corner_force(ball, i, self.row[e], time), float)
         return f
 
     @ti.func
@@ -161,7 +163,7 @@ class Corners:
         for t in range(self.start[i + 1] - self.start[i]):
             e = list_entry(self, i, t)
             if self.is_whole(e):
-                f += self.corner_product(ball, i, self.row[e], s)
+                f += ti.cast(self.corner_product(ball, i, self.row[e], s), float)
         return f
 
     @ti.func
@@ -171,7 +173,7 @@ class Corners:
         for t in range(self.start[i + 1] - self.start[i]):
             e = list_entry(self, i, t)
             if self.is_whole(e):
-                block += self.corner_block(ball, i, self.row[e], s)
+                block += ti.cast(self.corner_block(ball, i, self.row[e], s), float)
         return block
 
     @ti.func

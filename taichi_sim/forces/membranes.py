@@ -67,9 +67,9 @@ class Membranes(Corners):
         """Note for the corners of triangle t what the columns u and v of a stress give them."""
         b = -of.area * (u * of.bu + v * of.bv)
         c = -of.area * (u * of.cu + v * of.cv)
-        self.given[3 * t] = -(b + c)
-        self.given[3 * t + 1] = b
-        self.given[3 * t + 2] = c
+        self.given[3 * t] = ti.cast(-(b + c), float)
+        self.given[3 * t + 1] = ti.cast(b, float)
+        self.given[3 * t + 2] = ti.cast(c, float)
 
     @ti.func
     def _rate(self, ball: ti.template(), u, v, of):
@@ -122,9 +122,9 @@ class Membranes(Corners):
         for t in range(self.count):
             of = self.triangle[t]
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
-            self.state[t].u = u
-            self.state[t].v = v
-            self.state[t].stress = tensile(self._stress(self._strain(u, v), of))
+            self.state[t].u = ti.cast(u, float)
+            self.state[t].v = ti.cast(v, float)
+            self.state[t].stress = ti.cast(tensile(self._stress(self._strain(u, v), of)), float)
 
     @ti.func
     def _factor(self, of, s):

@@ -109,16 +109,16 @@ class Solids(NeoHookean):
         for t in range(self.start[i + 1] - self.start[i]):
             row = self.row[list_entry(self, i, t)]
             slope, _, _ = self._pair(row)
-            d = ti.Vector.zero(float, self.dim)
+            d = ti.Vector.zero(real, self.dim)
             if ti.static(member == "x"):
-                d = ball[row.a].x - ball[i].x
+                d = ti.cast(ball[row.a].x - ball[i].x, real)
             elif ti.static(member == "v"):
-                d = ball[row.a].v - ball[i].v
+                d = ti.cast(ball[row.a].v - ball[i].v, real)
             else:
-                d = ball[row.a].p - ball[i].p
+                d = ti.cast(ball[row.a].p - ball[i].p, real)
             for j in ti.static(range(self.dim)):
                 for s in ti.static(range(self.dim)):
-                    total[j, s] += ti.cast(d[j], real) * ti.cast(slope[s], real)
+                    total[j, s] += d[j] * ti.cast(slope[s], real)
         return total
 
     @ti.func
@@ -126,12 +126,12 @@ class Solids(NeoHookean):
         """Stresses at each ball."""
         for node in range(self.count):
             law = self.law[node]
-            gradient = self._averaged(ball, law.ball, "x", float) / self._volume(law)
+            gradient = self._averaged(ball, law.ball, "x", ball.x.dtype) / self._volume(law)
             stress = self.stress_of(gradient, law) - law.own * gradient
             if ti.static(self.viscous):
                 rate = gradient.transpose() @ self._averaged(ball, law.ball, "v", float) / self._volume(law)
                 stress += law.viscosity * gradient @ (rate + rate.transpose())
-            self.gradient[node], self.stress[node] = gradient, stress
+            self.gradient[node], self.stress[node] = ti.cast(gradient, float), ti.cast(stress, float)
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):

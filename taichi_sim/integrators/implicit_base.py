@@ -112,6 +112,17 @@ class Implicit(Integrator):
         self.launches.run(STEP, number, h, time)
 
     @ti.func
+    def begin_at(self, i, shift):
+        """Begin the stage of ball i `shift` [m] from its place, and keep what rounding takes from that."""
+        x = self.ball[i].x
+        begun = x + shift
+        low = shift - (begun - x)
+        if ti.static(self.state.compensated):
+            low += self.state.low[i].x
+        self.solver.base[i].x = begun
+        self.solver.low[i] = low
+
+    @ti.func
     def _free(self):
         """Solve the stage where nothing is implicit."""
         for i in range(self.model.n):

@@ -19,14 +19,20 @@ __all__ = ["StageElements"]
 class StageElements:
     """Elements in a StageSolver: forces where the stage ends, what the matrix has of them, and the potential.
 
-    Fields: `there` (n), x and v where the rest is worked out, p of a product; `step` [s] of the stage; `time` [s] at its end.
+    Fields: `there` (n), for each of the elements, x and v where the rest is worked out, p of a product; `step` [s] of the stage;
+    `time` [s] at its end. x is in double precision, but for elements of users: the rounding of places in single precision comes
+    to forces as large as those that stiff elements balance.
     """
 
     def __init__(self, elements: Sequence[Any], model: Model, fields: Fields) -> None:
         self.elements, self.n, self.dim = elements, model.n, model.dim
         self.ties = np.concatenate([one.ties for one in elements])
         vector = ti.types.vector(self.dim, fields.real)
-        self.there = fields.table(dict.fromkeys(("x", "v", "p"), vector), self.n)
+        kinds = [fields.wide if one.refined else fields.real for one in elements]
+        members = dict.fromkeys(("x", "v", "p"), vector)
+        tables = {k: fields.table({**members, "x": ti.types.vector(self.dim, k)}, self.n) for k in dict.fromkeys(kinds)}
+        self.tables, self.there = tuple(tables.values()), [tables[k] for k in kinds]
+        self.all_refined = fields.real not in tables
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.time = fields.reals(1), fields.reals(1)
         self.wide = fields.wide
@@ -43,46 +49,50 @@ class StageElements:
         return np.concatenate(found)
 
     @ti.func
-    def push(self, base: ti.template(), total: ti.template(), s):
-        """total (n), padded, += s times the forces at base.x + s base.v."""
+    def push(self, base: ti.template(), low: ti.template(), total: ti.template(), s):
+        """total (n), padded, += s times the forces at base.x + low + s base.v."""
         self.step[0] = s
         for i in range(self.n):
-            self.place(i, base[i].x, base[i].v, s)
-        for one in ti.static(self.elements):
-            one.prepare(self.there)
-            one.prepare_blocks(self.there, s)
+            self.place(i, base[i].x, low[i], base[i].v, s)
+        for one, there in ti.static(zip(self.elements, self.there)):
+            one.prepare(there)
+            one.prepare_blocks(there, s)
             for i in range(self.n):
-                total[i] = total[i] + padded_blocks.pad(s * one.force_on(self.there, i, self.time[0]), self.dim)
+                total[i] = total[i] + padded_blocks.pad(s * one.force_on(there, i, self.time[0]), self.dim)
 
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
         """total (n) += the elements' part of the matrix times p (n), all padded."""
         for i in range(self.n):
-            self.there[i].p = padded_blocks.cut(p[i], self.dim)
-        for one in ti.static(self.elements):
-            one.prepare_product(self.there, self.step[0])
+            for table in ti.static(self.tables):
+                table[i].p = padded_blocks.cut(p[i], self.dim)
+        for one, there in ti.static(zip(self.elements, self.there)):
+            one.prepare_product(there, self.step[0])
             for i in range(self.n):
-                total[i] = total[i] + padded_blocks.pad(one.product_at(self.there, i, self.step[0]), self.dim)
+                total[i] = total[i] + padded_blocks.pad(one.product_at(there, i, self.step[0]), self.dim)
 
     @ti.func
     def block(self, i, curves: ti.template()):
         """Part that elements with energies of curvatures, or those without, have in the block of the matrix at ball i [kg]."""
         block = ti.Matrix.zero(float, self.dim, self.dim)
-        for one in ti.static([one for one in self.elements if (one.derivatives > 1) == curves]):
-            block += one.block_at(self.there, i, self.step[0])
+        for one, there in ti.static(zip(self.elements, self.there)):
+            if ti.static((one.derivatives > 1) == curves):
+                block += one.block_at(there, i, self.step[0])
         return block
 
     @ti.func
-    def place(self, i, x, v, s):
-        """Set `there` of ball i at x to where the stage ends at the velocity v."""
-        self.there[i].x = x + s * v
-        self.there[i].v = v
+    def place(self, i, x, low, v, s):
+        """Set `there` of ball i at x + low to where the stage ends at the velocity v."""
+        way = ti.cast(low, self.wide) + ti.cast(s, self.wide) * ti.cast(v, self.wide)
+        for table in ti.static(self.tables):
+            table[i].x = ti.cast(ti.cast(x, self.wide) + way, table.x.dtype)
+            table[i].v = v
 
     @ti.func
     def potential(self, i, s):
         """Share of ball i, which is not pinned, and of its held corners in the elements' potential [J]."""
         energy = ti.cast(0.0, self.wide)
-        for one, held in ti.static(zip(self.elements, self.held)):
+        for one, there, held in ti.static(zip(self.elements, self.there, self.held)):
             own = one.start[i + 1] - one.start[i]
             for k in range(own + held.start[i + 1] - held.start[i]):
                 j, t = i, k
@@ -91,7 +101,7 @@ class StageElements:
                     j, t = corner.ball, corner.entry
                 e = list_entry(one, j, t)
                 if one.is_whole(e):
-                    energy += one.corner_potential(self.there, j, one.row[e], s, self.wide)
+                    energy += one.corner_potential(there, j, one.row[e], s, self.wide)
         return energy
 
 

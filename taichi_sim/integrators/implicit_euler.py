@@ -23,7 +23,8 @@ class ImplicitEuler(Implicit):
         self.forces.external(self.ball, h, time)
         self.forces.flex(1.0)
         for i in range(self.model.n):
-            self.solver.base[i] = self.ball[i]
+            self.begin_at(i, ti.Vector.zero(float, self.model.dim))
+            self.solver.base[i].v = self.ball[i].v
             self.solver.kick[i] = self.forces.external_change(i, h)
             self.solver.q[i] = self.ball[i].v + self.solver.kick[i]
 

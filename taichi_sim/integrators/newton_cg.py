@@ -63,8 +63,8 @@ HELD_SUMS = ("held", "pull")  # where balls may be held: so many; what would pul
 class StageSolver(Verdicts):
     """Solves m (q - v) + s F(p + s v, v) = 0 for the velocities v, see kernels.springs.newton_terms.
 
-    Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `q` (n) [m/s], of which `kick` (n) comes
-    from outside the bodies; `first` (n): the start.
+    Fields: `base` (n) with x the places p [m] and v [m/s]: the start, then the solution; `low` (n) [m]: what rounding took from
+    the places; `q` (n) [m/s], of which `kick` (n) comes from outside the bodies; `first` (n): the start.
     Without springs and elements v is q. gases, elements: those that act in the stage; elements give their derivatives.
     method: an Implicit; each of its `stages` starts with its change in the step before. `tolerance`: of the residual, in units of
     the impulses of the springs, both divided by the block diagonal of the matrix; less where the error of the method, of the
@@ -80,7 +80,7 @@ class StageSolver(Verdicts):
         self.opening = method.opening
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
-        self.q, self.kick, self.first = (fields.vectors(self.n, self.dim) for _ in range(3))
+        self.q, self.kick, self.first, self.low = (fields.vectors(self.n, self.dim) for _ in range(4))
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
@@ -120,6 +120,8 @@ class StageSolver(Verdicts):
         self.gas = None if gases is None else StageGas(gases, self.bodies, fields)
         self.inflated = gases is not None
         eps = 2.0**-52 if fields.real == ti.f64 else 2.0**-23
+        refined = elements and self.elements.all_refined and method.state.compensated
+        self.eps_of_places = 2.0**-52 if refined else eps
         self.eps, self.rounding, self.finest = eps, POTENTIAL_ROUNDING * eps, FINEST_SOLUTION * eps
         self.least = max(self.tolerance**2, self.finest)
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
@@ -156,7 +158,7 @@ class StageSolver(Verdicts):
         if ti.static(self.inflated):
             self.gas.push(self.base, self.product.sum, s)
         if ti.static(self.has_elements):
-            self.elements.push(self.base, self.product.sum, s)
+            self.elements.push(self.base, self.low, self.product.sum, s)
 
     @ti.func
     def _sum_springs(self, total: ti.template(), s):
@@ -229,8 +231,9 @@ class StageSolver(Verdicts):
                     own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i] - change
                     within += ti.cast(ti.max(own.norm_sqr(), whole.norm_sqr()) / w, self.wide)
                     load += ti.cast((self.kick[i] - alike).norm_sqr() / w, self.wide)
-                    blur = (s * self.rough[i] + self.eps * of_elements.trace() / s) * ti.abs(self.base[i].x).max()
-                    blur += self.eps * ti.abs(self.first[i]).max() / w
+                    stiffness = of_elements.trace()
+                    blur = (s * self.rough[i] + self.eps_of_places * stiffness / s) * ti.abs(self.base[i].x).max()
+                    blur += self.eps * ti.abs(self.first[i]).max() * (1.0 / w + stiffness)
                     noise += ti.cast(blur * blur * inverse.trace(), self.wide)
                     if ti.static(self.holds):
                         held += ti.select(self.held.holds(i), 1.0, 0.0)
@@ -345,7 +348,7 @@ class StageSolver(Verdicts):
         if ti.static(self.has_elements):
             for i in range(self.n):
                 part = taken * ti.cast(self.number[self.bodies.of(i)].part, float)
-                self.elements.place(i, self.base[i].x, self.base[i].v - part * self.dv[i], s)
+                self.elements.place(i, self.base[i].x, self.low[i], self.base[i].v - part * self.dv[i], s)
         self.bodies.each_part(self._sum_potentials, (s, taken))
         if ti.static(self.inflated):
             self.gas.weigh(self, s, taken)
@@ -493,7 +496,7 @@ class StageSolver(Verdicts):
                 step = -descent / curvature
             self.number[b].saddle = ti.select(curvature > 0.0, 0.0, 1.0)
         self.number[b].step = step
-        self.number[b].gain = step * descent  # dv A dv grows by that
+        self.add_gain(b, step * descent)  # dv A dv grows by that
         self.number[b].moved += step * descent
 
     @ti.func

@@ -28,7 +28,8 @@ MOST_ITERATIONS = 100  # of Newton's method
 MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
 DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
-FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
+FORCING_TERM = 0.15  # part of the residual that an iteration leaves: more would be lost to what is not linear
+GAIN_WINDOW = 0.1  # part of the iterations so far, the last ones, whose gains tell what is left
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
 GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
@@ -60,7 +61,7 @@ NUMBERS = (
         "moved",
         "moved_before",
     ),  # before the change; of the change of this iteration and the last one
-    *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last one gained; see `search`
+    *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last ones gained; see `search`
     *("allowed", "target"),  # part of the scale that the residual may become, and that
     *("iterations", "searches"),  # so many of either kind
     *("excess", "gained"),  # see Verdicts.note_work
@@ -279,8 +280,15 @@ class Verdicts:
         return ti.cast(first or (large and iterations < MOST_ITERATIONS), ti.i32)
 
     @ti.func
+    def add_gain(self, b, gain):
+        """Add the gain of an iteration of conjugate gradients to that of the last ones: where these converge slowly, many small
+        gains are left."""
+        kept = ti.max(0.0, 1.0 - 1.0 / ti.max(1.0, GAIN_WINDOW * (self.number[b].searches + 1.0)))
+        self.number[b].gain = kept * self.number[b].gain + gain
+
+    @ti.func
     def searching(self, b):
-        """1 if the search is to go on, else 0: by what the last iteration gained, which sees the slow modes that the residual
+        """1 if the search is to go on, else 0: by what the last iterations gained, which sees the slow modes that the residual
         hides.
 
         What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952).
@@ -321,7 +329,7 @@ class Verdicts:
         self.number[b].excess = ti.max(0.0, given - ti.static(GIVEN_PARTS[self.order]) * taken - self.rounding * moving)
         gain = given - taken
         gained = 0.0 * gain
-        if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > 0.0:
+        if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > self.tolerance**2 * self.number[b].scale:
             gained = gain / ti.max(gain, moving)
         self.number[b].gained = gained
 

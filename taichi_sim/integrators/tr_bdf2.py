@@ -83,21 +83,22 @@ class TRBDF2(Implicit):
             kick = self.forces.external_change(i, h)
             if stage == 2:
                 middle = self.solver.base[i].v
-                self.solver.base[i].x = ball.x + (MIDDLE * s) * (ball.v + self.solver.velocity(i))
+                self.begin_at(i, (MIDDLE * s) * (ball.v + self.solver.velocity(i)))
                 self.solver.kick[i] = (1.0 - 0.5 / GAMMA - 1.0 / (2.0 - GAMMA)) * self.kick[i] + 0.5 / GAMMA * kick
                 self.solver.q[i] = ball.v + MIDDLE * (middle - ball.v) + self.solver.kick[i]
             else:
-                self.solver.base[i] = ball
+                self.begin_at(i, ti.Vector.zero(float, self.model.dim))
+                self.solver.base[i].v = ball.v
                 self.solver.kick[i] = self.part * kick
                 self.solver.q[i] = ball.v + self.solver.kick[i]
                 if ti.static(self.answers):
                     if stage == 0 and self.fresh[0] == STRUCK:
-                        self.solver.base[i].x = ball.x - h * ball.v
+                        self.begin_at(i, -h * ball.v)
                         self.solver.kick[i] = ti.Vector.zero(float, self.model.dim)
                         self.solver.q[i] = ball.v - h * self.slope[i]
                         self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
                 if stage == 1:
-                    self.solver.base[i].x = ball.x + s * ball.v
+                    self.begin_at(i, s * ball.v)
                     self.solver.kick[i] = GAMMA * kick
                     self.solver.q[i] = ball.v + s * self.slope[i] + GAMMA * kick
                     self.kick[i] = kick
