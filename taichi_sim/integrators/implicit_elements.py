@@ -61,8 +61,7 @@ class StageElements:
             self.there[i].p = padded_blocks.cut(p[i], self.dim)
         for one in ti.static(self.elements):
             one.prepare_product(self.there, self.step[0])
-            for i in range(self.n):
-                total[i] = total[i] + padded_blocks.pad(one.product_at(self.there, i, self.step[0]), self.dim)
+            one.add_products(p, self.there, total, self.step[0])
 
     @ti.func
     def block(self, i, curves: ti.template()):
