@@ -1,11 +1,13 @@
 """Bending: elements of four balls whose weighted sum of places is the curvature, linear, with a damping of its size."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.kernels.loops import list_entry
 
 __all__ = ["Bending"]
 
@@ -15,7 +17,9 @@ class Bending(Corners):
     """Forces -w_i (k b + c n n . db/dt), b = sum_j w_j x_j, n = b / |b|; weights sum to 0, so that places count from ball i.
 
     Damped is the size of b, not its direction, which rotates with the body: a sheet that is folded rotates freely. The torque of
-    an element is b x n, which is 0. Where b is 0 nothing rotates, and all of db/dt is damped."""
+    an element is b x n, which is 0. Where b is 0 nothing rotates, and all of db/dt is damped.
+
+    Undamped elements that stay whole have their forces from `couplings`: most balls have fewer neighbours than elements."""
 
     name = "bending"
     elastic = may_slice = True
@@ -40,6 +44,37 @@ class Bending(Corners):
             data["damping"] = np.tile(damping, 4)
         data = {name: values[kept] for name, values in data.items()}
         self.gather(model, fields, others[kept], bends.T.ravel()[kept], columns, data)
+        self.coupled = not self.damped and not self.tears
+        if self.coupled:
+            self.couplings = _Couplings(bends, scene.bend_weights, stiffness, model, fields)
+
+    @ti.func
+    def force_on(self, ball: ti.template(), i, time):
+        """Force on ball i [N]."""
+        f = ti.Vector.zero(float, self.dim)
+        if ti.static(self.coupled):
+            f += self.couplings.force_on(ball, i, time)
+        else:
+            f += Corners.force_on(self, ball, i, time)
+        return f
+
+    @ti.func
+    def add_products(self, p: ti.template(), ball: ti.template(), total: ti.template(), s):
+        """total (n) += (s^2 K + s D) p."""
+        if ti.static(self.coupled):
+            self.couplings.add_products(p, ball, total, s)
+        else:
+            Corners.add_products(self, p, ball, total, s)
+
+    @ti.func
+    def block_at(self, ball: ti.template(), i, s):
+        """Block of ball i of s^2 K + s D [kg]."""
+        block = ti.Matrix.zero(float, self.dim, self.dim)
+        if ti.static(self.coupled):
+            block += self.couplings.block_at(ball, i, s)
+        else:
+            block += Corners.block_at(self, ball, i, s)
+        return block
 
     @ti.func
     def _curve(self, ball: ti.template(), i, row):
@@ -116,3 +151,43 @@ class Bending(Corners):
                 one = bent.outer_product(bent) / square
             block += s * row.damping * one
         return row.own * row.own * block
+
+
+@ti.data_oriented
+class _Couplings(Corners):
+    """Bending elements summed over each pair of their balls, as their force is linear: that on ball i is
+    sum_j stiffness_ij (x_j - x_i), stiffness_ij = -sum over elements of k w_i w_j, of either sign [N/m].
+
+    bends, weights (b, 4), stiffness (b,) [N/m]: the elements."""
+
+    may_slice = True
+    derivatives = 2
+
+    def __init__(self, bends: NDArray, weights: NDArray, stiffness: NDArray, model: Model, fields: Fields) -> None:
+        one, other = np.repeat(bends, 4, axis=1).ravel(), np.tile(bends, 4).ravel()
+        terms = -(stiffness[:, None, None] * weights[:, :, None] * weights[:, None, :]).ravel()
+        pairs, number = np.unique(one.astype(np.int64) * model.n + other, return_inverse=True)
+        sums = np.bincount(number.ravel(), terms)
+        ball, a = np.divmod(pairs, model.n)
+        apart = ball != a
+        self.gather(model, fields, a[apart, None], ball[apart], {"stiffness": fields.real}, {"stiffness": sums[apart]})
+
+    @ti.func
+    def corner_force(self, ball: ti.template(), i, row, time):
+        """Force on ball i by one of its neighbours [N]."""
+        return row.stiffness * (ball[row.a].x - ball[i].x)
+
+    @ti.func
+    def add_products(self, p: ti.template(), ball: ti.template(), total: ti.template(), s):
+        """total (n) += s^2 K p, of padded vectors."""
+        for i in range(self.n):
+            mine, change = p[i], 0.0 * p[i]
+            for t in range(self.start[i + 1] - self.start[i]):
+                row = self.row[list_entry(self, i, t)]
+                change += row.stiffness * (mine - p[row.a])
+            total[i] = total[i] + s * s * change
+
+    @ti.func
+    def corner_block(self, ball: ti.template(), i, row, s):
+        """Part of a neighbour in the block of ball i."""
+        return s * (s * row.stiffness) * ti.Matrix.identity(float, self.dim)

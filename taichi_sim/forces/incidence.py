@@ -10,6 +10,7 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.slices import Slices
 from taichi_sim.kernels.loops import list_entry
+from taichi_sim.kernels.springs import padded_blocks
 
 __all__ = ["CORNER_NAMES", "Corners"]
 
@@ -165,6 +166,12 @@ class Corners:
             if self.is_whole(e):
                 f += ti.cast(self.corner_product(ball, i, self.row[e], s), float)
         return f
+
+    @ti.func
+    def add_products(self, p: ti.template(), ball: ti.template(), total: ti.template(), s):
+        """total (n) += (s^2 K + s D) p, of padded vectors; p is that of the balls, too."""
+        for i in range(self.n):
+            total[i] = total[i] + padded_blocks.pad(self.product_at(ball, i, s), self.dim)
 
     @ti.func
     def block_at(self, ball: ti.template(), i, s):

@@ -68,8 +68,7 @@ class StageElements:
                 table[i].p = padded_blocks.cut(p[i], self.dim)
         for one, there in ti.static(zip(self.elements, self.there)):
             one.prepare_product(there, self.step[0])
-            for i in range(self.n):
-                total[i] = total[i] + padded_blocks.pad(one.product_at(there, i, self.step[0]), self.dim)
+            one.add_products(p, there, total, self.step[0])
 
     @ti.func
     def block(self, i, curves: ti.template()):

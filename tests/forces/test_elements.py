@@ -127,7 +127,19 @@ def bend_damping(scene: ts.Scene, x: np.ndarray, v: np.ndarray) -> np.ndarray:
     return force
 
 
-@pytest.mark.parametrize("make", [box, joined])
+def bent() -> ts.Scene:
+    """Balls with undamped bending elements that share pairs of balls, two of them rods, one ball pinned; no wind."""
+    rng = np.random.default_rng(5)
+    scene = ts.Scene(dim=3)
+    scene.add_balls(rng.normal(size=(7, 3)), radius=0.01, mass=rng.uniform(0.5, 2.0, 7), pinned=[2])
+    weights = rng.normal(size=(5, 4))
+    weights[:, 3] = -weights[:, :3].sum(axis=1)
+    corners = [[0, 1, 2, 3], [3, 2, 1, 4], [1, 5, 6, 0], [2, 2, 3, 5], [4, 4, 6, 1]]
+    scene.add_bending(corners, weights=weights, stiffness=rng.uniform(1.0, 5.0, 5))
+    return scene
+
+
+@pytest.mark.parametrize("make", [box, joined, bent])
 def test_forces_agree_with_numpy(make):
     scene = make()
     x, v = scene.position.copy(), scene.velocity.copy()
