@@ -9,6 +9,7 @@ from taichi_sim.device.engine import ti
 
 BESIDE = 0.01  # part of the distance that the centre of a pixel and its sample may differ in
 BEFORE = 1e-6  # the end of a texture, where the next one begins, with the opposite border
+LAMP_SHARE = 0.62  # of the lamp's light, in what a surface scatters
 MOST_TAPS = 8.0  # places of a texture in one pixel
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
@@ -217,7 +218,7 @@ def illuminate(scene: ti.template(), colour, gloss, through, n, ray, lamp, fill,
     rim = 1 - ti.max(n.dot(to_eye), ti.f32(0.0))
     rim *= rim
     aside = ti.max(n.dot(fill), ti.f32(0.0)) * openness
-    result = colour * (vec3(scene.stage.key) * (cosine * ti.f32(0.62)) + vec3(scene.stage.fill) * aside + ambient)
+    result = colour * (vec3(scene.stage.key) * (cosine * ti.f32(LAMP_SHARE)) + vec3(scene.stage.fill) * aside + ambient)
     return (
         result
         + vec3(scene.stage.key) * (shine * gloss * light_share * ti.f32(0.35))
@@ -229,3 +230,9 @@ def illuminate(scene: ti.template(), colour, gloss, through, n, ray, lamp, fill,
 def tone(c):
     """Soft shoulder: bright parts keep their hue."""
     return ti.min(c / (1 + ti.f32(0.42) * c) * ti.f32(1.12), ti.f32(1.0))
+
+
+@ti.func
+def untoned(c):
+    """The colour that `tone` makes this of."""
+    return c / (ti.f32(1.12) - ti.f32(0.42) * ti.min(c, ti.f32(1.0)))

@@ -111,12 +111,13 @@ class Renderer3D:
         canvas.fit_backdrop(scene, (width, height), view, light, planes, eye, look)
         camera = matrix_of(view), vector_of(eye)
         ground = matrix_of(planes.normals), matrix_of(planes.on_screen), planes.number
-        if self._ambient_occlusion:
-            occlusion.occlude(scene, canvas.seen, *camera, *ground, 0.05, width, height)
         lamp = camera[0] if light is None else matrix_of(light)
         last = (camera[1], matrix_of(look), width, height)
-        if light is not None:
+        if self._shadow or self._ambient_occlusion:
             shadow_lattice.sample(scene, canvas.seen, camera[0], lamp, *ground[:2], *last)
+        if self._ambient_occlusion:
+            occlusion.occlude(scene, canvas.seen, camera[0], ground[2], width, height)
+        shading_pass.find_busy(scene, canvas.seen, width, height)
         shading_pass.resolve(scene, canvas.seen, camera[0], lamp, *ground, *last)
         return np.asarray(canvas.finish(width, height))
 
