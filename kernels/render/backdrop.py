@@ -15,10 +15,18 @@ FAR = 1e30  # closeness beyond all
 
 
 @ti.func
-def sky(up, top, horizon):
-    """Background in a direction whose height is `up` (-1..1)."""
+def sky(scene: ti.template(), ray, look):
+    """Background along a ray: from the horizon to the zenith, with a glow of the stage's above the horizon below the lamp."""
+    up, top, horizon = ray[1] / ray.norm(), axis(look, 2), axis(look, 3)
     t = ti.min(ti.max(up * ti.f32(1.6) + ti.f32(0.25), ti.f32(0.0)), ti.f32(1.0))
-    return horizon + (top - horizon) * (t * t * (3 - 2 * t))
+    colour = horizon + (top - horizon) * (t * t * (3 - 2 * t))
+    if ti.static(scene.stage.glow != (0.0, 0.0, 0.0)):
+        lamp = axis(look, 0)
+        level = ti.sqrt((ray[0] * ray[0] + ray[2] * ray[2]) * (lamp[0] * lamp[0] + lamp[2] * lamp[2]))
+        near = ti.f32(0.5) + ti.f32(0.5) * (ray[0] * lamp[0] + ray[2] * lamp[2]) / ti.max(level, ti.f32(1e-9))
+        near *= near
+        colour += vec3(scene.stage.glow) * (look[1, 3] * near * near / (1 + 12 * up * up))
+    return colour
 
 
 @ti.func
@@ -89,7 +97,7 @@ def plane_colour(scene: ti.template(), view, planes, look, eye, ray, k, share, o
     colour = ground(scene, eye + ray * t, n, footprint, look[0, 3], axis(look, 3))
     reach = distance * scene.stage.fog
     fog = 1 - 1 / (1 + reach * reach * reach)
-    far = sky(ray[1] / length, axis(look, 2), axis(look, 3))
+    far = sky(scene, ray, look)
     middle = eye + ray * t
     colour /= 1 + scene.stage.pool * middle.dot(middle)
     near = tone(
@@ -146,7 +154,7 @@ def paint(
                         offset = ti.static(SAMPLE_OFFSETS[scene.samples][s])
                         place = (fx + ti.f32(0.5 + offset[0]), fy + ti.f32(0.5 + offset[1]))
                         _, which = nearest_plane(on_screen, count, place[0], place[1])
-            colour = sky(ray[1] / ray.norm(), axis(look, 2), axis(look, 3))
+            colour = sky(scene, ray, look)
             if which > 0:
                 colour = plane_colour(scene, view, planes, look, eye, ray, which - 1, ti.f32(1.0), ti.f32(1.0))
             total += colour * (ti.cast(weight, ti.f32) / scene.samples)

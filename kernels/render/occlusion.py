@@ -111,7 +111,7 @@ def occlude(scene: ti.template(), seen: ti.template(), view: View, planes: ti.i3
 
 @ti.func
 def open_share(scene: ti.template(), identity, w, x, y, width):
-    """Share of the sky that a pixel sees of closeness w, which a plane needs not, from the lattice points about it alike to it."""
+    """Share of the sky that a pixel sees, from the lattice points about it that show the like; w: its closeness."""
     k, across = y // STEP * lattice_width(width) + x // STEP, lattice_width(width)
     u, v = ti.cast(x % STEP, ti.f32) / STEP, ti.cast(y % STEP, ti.f32) / STEP
     total, weights = ti.f32(0.0), ti.f32(0.0)

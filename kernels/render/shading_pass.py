@@ -4,7 +4,7 @@ from taichi_sim.kernels.render.backdrop import in_less_sky, nearest_plane, plane
 from taichi_sim.kernels.render.finish import alpha_byte, encode
 from taichi_sim.kernels.render.occlusion import OPEN, occluded_near, open_share
 from taichi_sim.kernels.render.raster import PLANE, SAMPLE_OFFSETS, TRIANGLE, View, vec3
-from taichi_sim.kernels.render.shade import axis, illuminate, lit_side, pixel_ray, surface, tone
+from taichi_sim.kernels.render.shade import axis, illuminate, light_inside, lit_side, pixel_ray, surface, tone
 from taichi_sim.kernels.render.shadow import COARSE_TEXELS
 from taichi_sim.kernels.render.shadow_lattice import between, ground_share, surface_share
 from taichi_sim.kernels.render.visibility import TILE, closeness, found, identity_of, tiles_across
@@ -100,7 +100,11 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
             if share < 0:
                 share, _ = surface_share(scene, view, light, eye, p, side, cosine)
     colour += (axis(look, 3) + ti.f32(0.15) - colour) * scene.stage.wash
-    return tone(illuminate(scene, colour, gloss, through, n, ray, lamp, axis(look, 1), share, openness))
+    result = illuminate(scene, colour, gloss, through, n, ray, lamp, axis(look, 1), share, openness)
+    if ti.static(scene.has_shadow and scene.has_light_inside):
+        if through < 0:
+            result += light_inside(scene, light, lamp, ray, p, colour, -through)
+    return tone(result)
 
 
 @ti.func
@@ -127,7 +131,9 @@ def darkening(shaded, plain):
 
 
 @ti.func
-def shade(scene: ti.template(), seen: ti.template(), view, light, planes, on_screen, count, eye, look, width, height, x, y):
+def shade(
+    scene: ti.template(), seen: ti.template(), view, light, planes, on_screen, count, eye, look, width, height, x, y
+):
     """Shade a pixel of a busy tile, see `resolve`."""
     pixel = y * width + x
     tile = y // TILE * tiles_across(width) + x // TILE

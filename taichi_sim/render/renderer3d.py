@@ -48,7 +48,7 @@ class Renderer3D:
         frame: Frame,
         size: tuple[int, int],
         background: Any = None,
-        ambient_occlusion: bool = False,
+        ambient_occlusion: bool = True,
         shadow: bool = True,
         camera: Any = None,
         transparent: bool = False,
@@ -70,6 +70,7 @@ class Renderer3D:
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, stage.zenith, stage.horizon)
+        self._glow = float(background is None)
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Any = None
         self.buffers: Any = None
@@ -198,10 +199,10 @@ class Renderer3D:
         self.buffers.load(content, colour, self._unit)
 
     def _look_matrix(self) -> NDArray[np.float64]:
-        """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
+        """Rows: lamp and the spacing of the grid, fill and the glow's share, zenith, horizon."""
         look = np.zeros((4, 4))
         look[:, :3] = self._lamp, self._fill, self._zenith, self._horizon
-        look[0, 3] = self._spacing / self._unit
+        look[0, 3], look[1, 3] = self._spacing / self._unit, self._glow
         return look
 
     def _view(self, width: int, height: int) -> NDArray[np.float32]:
