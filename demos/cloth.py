@@ -10,6 +10,7 @@ SIDE, NUMBER, MASS = 1.2, 48, 0.3
 def scene(number=NUMBER, mass=MASS, stiffness=1000.0, bending_stiffness=0.1, damping=0.04):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
+    scene.output["looks"] = [{"of": "cloth_0", "pattern": "weave", "hem": 0.03}]
     ts.shapes.cloth(
         scene,
         size=(SIDE, SIDE),

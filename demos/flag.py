@@ -10,6 +10,7 @@ SIZE, NUMBER = (1.5, 1.0), (61, 41)
 def scene(wind=10.0, weakest=0.1, strongest=0.3, seed=7):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 6, "size": (1280, 720)}
+    scene.output["looks"] = [{"of": "cloth_0", "pattern": "weave", "repeat": 200, "hem": 0.03}]
     flag = ts.shapes.cloth(
         scene,
         size=SIZE,

@@ -1,10 +1,10 @@
-"""A curtain of 65 000 balls of silk, gathered in pleats, is lifted by gusts, in steps as long as a frame."""
+"""A curtain of 100 000 balls of silk, gathered in pleats, is lifted by gusts, in steps as long as a frame."""
 
 import numpy as np
 
 import taichi_sim as ts
 
-SIDE, NUMBER, PLEATS, SLOPE = 1.6, 256, 6, 0.5
+SIDE, NUMBER, PLEATS, SLOPE = 1.6, 320, 6, 0.5
 
 
 def pleats(number):
@@ -18,7 +18,7 @@ def pleats(number):
 def scene(number=NUMBER, wind=0.9, gust=0.5, dt=1 / 60):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.settings = {"integrator": "implicit_euler", "dt": dt}
-    scene.output = {"fps": 60, "duration": 3, "size": (1280, 720)}
+    scene.output = {"fps": 60, "duration": 3, "size": (1280, 720), "stage": "dusk"}
     scene.output["camera"] = {"azimuth": 28, "elevation": 6}
     rail = np.arange(number) * number
     silk = ts.shapes.cloth(

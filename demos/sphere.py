@@ -7,23 +7,23 @@ import taichi_sim as ts
 SIDE, NUMBER, RADIUS = 1.6, 81, 0.42
 
 
-def scene(number=NUMBER, stiffness=400.0, friction=0.6, turn=115.0):
+def scene(number=NUMBER, material="denim", turn=115.0):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 5, "size": (1280, 720)}
-    scene.add_material("cloth", friction=friction)
+    scene.output["looks"] = [
+        {"of": "cloth_0", "pattern": "weave", "repeat": 160, "pattern_colour": (0.5, 0.58, 0.7), "hem": 0.015}
+    ]
     ts.shapes.cloth(
         scene,
         size=(SIDE, SIDE),
         resolution=(number, number),
-        stiffness=stiffness,
-        damping=0.02,
-        material="cloth",
+        material=material,
         position=(-SIDE / 2, 1.1, -SIDE / 2),
-        colour=(0.24, 0.45, 0.7),
+        colour=(0.1, 0.2, 0.42),
         self_collision=True,
     )
-    scene.add_collider(ts.Sphere((0, 0.5, 0), RADIUS, rotation_rate=(0, turn, 0), material="cloth"))
-    scene.add_wall((0, 1, 0), material="cloth")
+    scene.add_collider(ts.Sphere((0, 0.5, 0), RADIUS, rotation_rate=(0, turn, 0), material=material))
+    scene.add_wall((0, 1, 0), material=material)
     return scene
 
 

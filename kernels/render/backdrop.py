@@ -5,17 +5,28 @@ Planes of a view are rows (a, b, c): closeness a x + b y + c at a place (x, y) p
 
 from taichi_sim.kernels.render.finish import encode
 from taichi_sim.kernels.render.raster import SAMPLE_OFFSETS, View, vec3
-from taichi_sim.kernels.render.shade import axis, illuminate, pixel_ray, tone
+from taichi_sim.kernels.render.shade import LAMP_SHARE, axis, illuminate, pixel_ray, tone, untoned
 from taichi_sim.kernels.render.shadow import COARSE_TEXELS, coarse_cell, light_place, slope_of
+from taichi_sim.kernels.render.visibility import TILE, tiles_across
 
 from taichi_sim.device.engine import ti
 
+FAR = 1e30  # closeness beyond all
+
 
 @ti.func
-def sky(up, top, horizon):
-    """Background in a direction whose height is `up` (-1..1)."""
+def sky(scene: ti.template(), ray, look):
+    """Background along a ray: from the horizon to the zenith, with a glow of the stage's above the horizon below the lamp."""
+    up, top, horizon = ray[1] / ray.norm(), axis(look, 2), axis(look, 3)
     t = ti.min(ti.max(up * ti.f32(1.6) + ti.f32(0.25), ti.f32(0.0)), ti.f32(1.0))
-    return horizon + (top - horizon) * (t * t * (3 - 2 * t))
+    colour = horizon + (top - horizon) * (t * t * (3 - 2 * t))
+    if ti.static(scene.stage.glow != (0.0, 0.0, 0.0)):
+        lamp = axis(look, 0)
+        level = ti.sqrt((ray[0] * ray[0] + ray[2] * ray[2]) * (lamp[0] * lamp[0] + lamp[2] * lamp[2]))
+        near = ti.f32(0.5) + ti.f32(0.5) * (ray[0] * lamp[0] + ray[2] * lamp[2]) / ti.max(level, ti.f32(1e-9))
+        near *= near
+        colour += vec3(scene.stage.glow) * (look[1, 3] * near * near / (1 + 12 * up * up))
+    return colour
 
 
 @ti.func
@@ -86,13 +97,24 @@ def plane_colour(scene: ti.template(), view, planes, look, eye, ray, k, share, o
     colour = ground(scene, eye + ray * t, n, footprint, look[0, 3], axis(look, 3))
     reach = distance * scene.stage.fog
     fog = 1 - 1 / (1 + reach * reach * reach)
-    far = sky(ray[1] / length, axis(look, 2), axis(look, 3))
+    far = sky(scene, ray, look)
     middle = eye + ray * t
     colour /= 1 + scene.stage.pool * middle.dot(middle)
     near = tone(
         illuminate(scene, colour, ti.f32(0.0), ti.f32(0.0), n, ray, axis(look, 0), axis(look, 1), share, open_share)
     )
     return near + (far - near) * fog
+
+
+@ti.func
+def in_less_sky(scene: ti.template(), planes, look, k, colour, openness):
+    """Colour of the ground in all of the lamp and a share of the sky, from its colour in all light."""
+    n = plane_normal(planes, k)
+    lamp = vec3(scene.stage.key) * (ti.max(n.dot(axis(look, 0)), ti.f32(0.0)) * ti.f32(LAMP_SHARE))
+    up = ti.f32(0.5) + ti.f32(0.5) * n[1]
+    sky_light = vec3(scene.stage.bounce) * (1 - up) + vec3(scene.stage.sky) * up
+    sky_light += vec3(scene.stage.fill) * ti.max(n.dot(axis(look, 1)), ti.f32(0.0))
+    return tone(untoned(colour) * (lamp + sky_light * openness) / (lamp + sky_light))
 
 
 @ti.kernel
@@ -132,7 +154,7 @@ def paint(
                         offset = ti.static(SAMPLE_OFFSETS[scene.samples][s])
                         place = (fx + ti.f32(0.5 + offset[0]), fy + ti.f32(0.5 + offset[1]))
                         _, which = nearest_plane(on_screen, count, place[0], place[1])
-            colour = sky(ray[1] / ray.norm(), axis(look, 2), axis(look, 3))
+            colour = sky(scene, ray, look)
             if which > 0:
                 colour = plane_colour(scene, view, planes, look, eye, ray, which - 1, ti.f32(1.0), ti.f32(1.0))
             total += colour * (ti.cast(weight, ti.f32) / scene.samples)
@@ -145,7 +167,8 @@ def paint(
 @ti.kernel
 def place(scene: ti.template(), view: View, light: View, planes: View, eye: vec3, look: View, width: ti.i32, n: ti.i32):
     """Find the ground that n pixels see in the light's view: the coarse cell of the shadow map, -1 for none, and the closeness
-    of what casts a shadow there."""
+    of what casts a shadow there. Of each tile, the range of cells and the least closeness."""
+    cells = scene.shadow_size // COARSE_TEXELS
     for pixel in range(n):
         cell, closest = -1, ti.f32(0.0)
         k = ti.abs(scene.plane[pixel]) - 1
@@ -158,3 +181,16 @@ def place(scene: ti.template(), view: View, light: View, planes: View, eye: vec3
                 cell = coarse_cell(scene.shadow_size // COARSE_TEXELS, q[0], q[1])
         scene.backdrop_cell[pixel] = cell
         scene.backdrop_level[pixel] = closest
+    across, down = tiles_across(width), (n // width + ti.static(TILE - 1)) // TILE
+    for tile in range(across * down):
+        x0, y0 = tile % across * TILE, tile // across * TILE
+        first, last, least = ti.Vector([cells, cells]), ti.Vector([-1, -1]), ti.f32(FAR)
+        for y in range(y0, ti.min(y0 + TILE, n // width)):
+            for x in range(x0, ti.min(x0 + TILE, width)):
+                cell = scene.backdrop_cell[y * width + x]
+                if cell >= 0:
+                    at = ti.Vector([cell % cells, cell // cells])
+                    first, last = ti.min(first, at), ti.max(last, at)
+                    least = ti.min(least, scene.backdrop_level[y * width + x])
+        scene.tile_cells[tile] = ti.Vector([first[0], first[1], last[0], last[1]])
+        scene.tile_level[tile] = least

@@ -3,12 +3,18 @@
 A key light, a fill, sky, a bounce from the ground, a soft highlight; how much of each is the stage's.
 """
 
-from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, vec3
+from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, screen, to_view, vec3
+from taichi_sim.kernels.render.shadow import shadow_tap
 
 from taichi_sim.device.engine import ti
 
 BESIDE = 0.01  # part of the distance that the centre of a pixel and its sample may differ in
 BEFORE = 1e-6  # the end of a texture, where the next one begins, with the opposite border
+LAMP_SHARE = 0.62  # of the lamp's light, in what a surface scatters
+INSIDE = 0.6  # of the lamp's light, in what is scattered inside a body
+INSIDE_TAPS = ((1.0, 3.0), (-3.0, 1.0), (-1.0, -3.0), (3.0, -1.0))  # texels
+WEAVE, TEXTURE = 3, 4  # numbers of patterns
+WOVEN_MEAN, THREAD_SLOPE = 0.772, 0.9  # brightness of a weave, tangent at the side of a thread
 MOST_TAPS = 8.0  # places of a texture in one pixel
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
@@ -56,6 +62,36 @@ def pattern(kind, place, width):
     if kind > 1:
         sign *= wave(place[1], width[1]) * wave(place[2], width[2])
     return ti.f32(0.5) - ti.f32(0.5) * sign
+
+
+@ti.func
+def woven(place, width, colour, weft):
+    """Colour of a plain weave of threads, 1 apart, about a place, and the slopes of the threads along both axes; the mean of
+    both where a width holds more than one thread."""
+    x, y = place[0] - ti.floor(place[0]) - ti.f32(0.5), place[1] - ti.floor(place[1]) - ti.f32(0.5)
+    warp = (ti.cast(ti.floor(place[0]), ti.i32) + ti.cast(ti.floor(place[1]), ti.i32)) & 1
+    across, along_it, thread = x, y, colour
+    if warp == 0:
+        across, along_it, thread = y, x, weft
+    bright = (1 - ti.f32(1.6) * across * across) * (ti.f32(0.7) + ti.f32(0.3) * ti.cos(ti.f32(3.1415927) * along_it))
+    sharp = ti.min(ti.max(2 - ti.f32(2.5) * ti.max(width[0], width[1]), ti.f32(0.0)), ti.f32(1.0))
+    mean = (colour + weft) * ti.f32(0.5)
+    slope = ti.Vector([x, y]) * sharp
+    return mean + (thread * (bright / ti.f32(WOVEN_MEAN)) - mean) * sharp, slope
+
+
+@ti.func
+def hem(place, width, wide):
+    """Factors of the colour and of the light that comes through at the border of a sheet, folded over once and stitched."""
+    x, y = ti.min(place[0], 1 - place[0]), ti.min(place[1], 1 - place[1])
+    inner, run, wider = x, place[1], ti.max(width[0], width[1])
+    if y < x:
+        inner, run = y, place[0]
+    fold = ti.min(ti.max((wide - inner) / ti.max(wider, ti.f32(1e-6)) + ti.f32(0.5), ti.f32(0.0)), ti.f32(1.0))
+    stitch = ti.max(1 - ti.abs(inner - ti.f32(0.8) * wide) / ti.max(ti.f32(0.1) * wide, wider), ti.f32(0.0))
+    stitch *= ti.min(ti.f32(0.1) * wide / ti.max(wider, ti.f32(1e-6)), ti.f32(1.0))
+    dash = ti.f32(0.5) + ti.f32(0.5) * wave(run / (ti.f32(0.8) * wide), wider / (ti.f32(0.8) * wide))
+    return 1 - fold * ti.f32(0.12) - ti.f32(0.5) * stitch * dash, 1 - fold * ti.f32(0.5)
 
 
 @ti.func
@@ -115,7 +151,8 @@ def along(ray, e1, e2, s, q, ab, ac):
 
 @ti.func
 def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
-    """Point, normal (towards the eye), colour and gloss of what a pixel sees, and the share of the light that comes through."""
+    """Point, normal (towards the eye), colour and gloss of what a pixel sees, and the share of the light that comes through, or,
+    below 0, how soon light fades inside, per size of the scene."""
     kind, i = identity >> 28, identity & 0xFFFFFFF
     p, n, colour, gloss = eye + ray / w, -ray.normalized(), vec3(0.5, 0.5, 0.5), ti.f32(0.2)
     through = ti.f32(0.0)
@@ -171,7 +208,7 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
             style = scene.style[scene.style_of[i]]
             gloss, through = style[0], style[1]
             if ti.static(scene.is_patterned):
-                if style[3] > 0 and total > ti.f32(1e-20):
+                if (style[3] > 0 or style[8] > 0) and total > ti.f32(1e-20):
                     pa, pb, pc = scene.place[3 * i], scene.place[3 * i + 1], scene.place[3 * i + 2]
                     ab, ac, pixel = pb - pa, pc - pa, 1 / view[3, 0]
                     here = along(ray, e1, e2, s, q, ab, ac)  # also beside a thin triangle
@@ -180,13 +217,27 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
                     low, last = ti.floor(ti.min(pa, pb, pc)), ti.ceil(ti.max(pa, pb, pc))
                     last = ti.max(last, low + ti.f32(1.0))
                     high = last - ti.f32(BEFORE) * (ti.abs(last) + ti.f32(1.0))
-                    place = ti.min(ti.max(pa + here, low), high) * style[7]
-                    beside, below = beside * style[7], below * style[7]
-                    if style[3] > 2:
+                    raw = ti.min(ti.max(pa + here, low), high)
+                    wide = ti.abs(beside) + ti.abs(below)
+                    place, beside, below = raw * style[7], beside * style[7], below * style[7]
+                    if style[3] == TEXTURE:
                         colour = texture_at(scene, style, place, beside, below, low * style[7], high * style[7])
-                    else:
-                        share = pattern(style[3], place, ti.abs(beside) + ti.abs(below))
+                    elif style[3] == WEAVE:
+                        weft = vec3(style[4], style[5], style[6])
+                        if style[4] < 0:
+                            weft = colour
+                        colour, slope = woven(place, wide * style[7], colour, weft)
+                        turned = ab[0] * ac[1] - ab[1] * ac[0]
+                        tu, tv = (e1 * ac[1] - e2 * ab[1]) / turned, (e2 * ab[0] - e1 * ac[0]) / turned
+                        tilt = tu / ti.max(tu.norm(), ti.f32(1e-20)) * slope[0]
+                        tilt += tv / ti.max(tv.norm(), ti.f32(1e-20)) * slope[1]
+                        n = (n + ti.f32(THREAD_SLOPE) * tilt).normalized()
+                    elif style[3] > 0:
+                        share = pattern(style[3], place, wide * style[7])
                         colour += (vec3(style[4], style[5], style[6]) - colour) * share
+                    if style[8] > 0:
+                        darker, thicker = hem(raw, wide, style[8])
+                        colour, through = colour * darker, through * thicker
     return p, n, colour, gloss, through
 
 
@@ -203,8 +254,9 @@ def lit_side(n, lamp, through):
 def illuminate(scene: ti.template(), colour, gloss, through, n, ray, lamp, fill, light_share, openness):
     """Colour of a surface under the lamp, the sky and the bounce, and the share of their light that comes through."""
     to_eye = -ray.normalized()
-    cosine = ti.max(n.dot(lamp), -through * n.dot(lamp), ti.f32(0.0)) * light_share
-    up = ti.f32(0.5) + (ti.f32(0.5) - through) * n[1]
+    thin = ti.max(through, ti.f32(0.0))
+    cosine = ti.max(n.dot(lamp), -thin * n.dot(lamp), ti.f32(0.0)) * light_share
+    up = ti.f32(0.5) + (ti.f32(0.5) - thin) * n[1]
     ambient = (vec3(scene.stage.bounce) * (1 - up) + vec3(scene.stage.sky) * up) * openness
     half = (lamp + to_eye).normalized()
     shine = ti.max(n.dot(half), ti.f32(0.0))
@@ -217,7 +269,7 @@ def illuminate(scene: ti.template(), colour, gloss, through, n, ray, lamp, fill,
     rim = 1 - ti.max(n.dot(to_eye), ti.f32(0.0))
     rim *= rim
     aside = ti.max(n.dot(fill), ti.f32(0.0)) * openness
-    result = colour * (vec3(scene.stage.key) * (cosine * ti.f32(0.62)) + vec3(scene.stage.fill) * aside + ambient)
+    result = colour * (vec3(scene.stage.key) * (cosine * ti.f32(LAMP_SHARE)) + vec3(scene.stage.fill) * aside + ambient)
     return (
         result
         + vec3(scene.stage.key) * (shine * gloss * light_share * ti.f32(0.35))
@@ -226,6 +278,30 @@ def illuminate(scene: ti.template(), colour, gloss, through, n, ray, lamp, fill,
 
 
 @ti.func
+def light_inside(scene: ti.template(), light, lamp, ray, p, colour, rate):
+    """Light from the lamp that has come through a body to a place on its surface, by the way that the shadow map shows; what the
+    body does not scatter fades sooner."""
+    q = screen(light, to_view(light, p))
+    entry, count = ti.f32(0.0), ti.f32(0.0)
+    for k in ti.static(range(4)):
+        x, y = q[0] + ti.f32(INSIDE_TAPS[k][0]), q[1] + ti.f32(INSIDE_TAPS[k][1])
+        w = shadow_tap(scene.shadow, scene.shadow_size, x, y)
+        if w > 0:
+            entry += ti.max(w - q[2], ti.f32(0.0))
+            count += 1
+    way = entry / ti.max(count, ti.f32(1.0))
+    forward = ti.f32(0.55) + ti.f32(0.45) * ray.normalized().dot(lamp)
+    left = ti.exp(-rate * way * (ti.f32(1.25) - colour))
+    return colour * vec3(scene.stage.key) * left * (forward * ti.f32(INSIDE))
+
+
+@ti.func
 def tone(c):
     """Soft shoulder: bright parts keep their hue."""
     return ti.min(c / (1 + ti.f32(0.42) * c) * ti.f32(1.12), ti.f32(1.0))
+
+
+@ti.func
+def untoned(c):
+    """The colour that `tone` makes this of."""
+    return c / (ti.f32(1.12) - ti.f32(0.42) * ti.min(c, ti.f32(1.0)))

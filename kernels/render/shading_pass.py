@@ -1,9 +1,11 @@
 """Shading of the pixels from what is seen: each distinct primitive of a pixel shaded once, before sky and ground."""
 
-from taichi_sim.kernels.render.backdrop import nearest_plane, plane_colour
+from taichi_sim.kernels.render.backdrop import in_less_sky, nearest_plane, plane_colour
 from taichi_sim.kernels.render.finish import alpha_byte, encode
+from taichi_sim.kernels.render.occlusion import OPEN, occluded_near, open_share
 from taichi_sim.kernels.render.raster import PLANE, SAMPLE_OFFSETS, TRIANGLE, View, vec3
-from taichi_sim.kernels.render.shade import axis, illuminate, lit_side, pixel_ray, surface, tone
+from taichi_sim.kernels.render.shade import axis, illuminate, light_inside, lit_side, pixel_ray, surface, tone
+from taichi_sim.kernels.render.shadow import COARSE_TEXELS
 from taichi_sim.kernels.render.shadow_lattice import between, ground_share, surface_share
 from taichi_sim.kernels.render.visibility import TILE, closeness, found, identity_of, tiles_across
 
@@ -11,7 +13,6 @@ from taichi_sim.device.engine import ti
 
 OUTLINE_DEPTH = 0.03  # samples of a surface whose depths differ by more have an outline between them
 SAME_SHEET_DEPTH = 0.004  # samples of a mesh whose depths differ by less share their shading
-OPEN = 0.998  # share of the sky from which all of it is seen
 
 
 @ti.func
@@ -83,13 +84,15 @@ def outline(scene: ti.template(), seen: ti.template(), on_screen, count, which, 
 
 
 @ti.func
-def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye, ray, key, x, y, width, open_share):
+def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye, ray, key, x, y, width):
     """Linear colour of what one sample shows."""
     lamp = axis(look, 0)
     px, py = ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5)
     w = closeness(seen, key)
     p, n, colour, gloss, through = surface(scene, view, eye, ray, identity_of(seen, key), w, px, py)
-    share = ti.f32(1.0)
+    share, openness = ti.f32(1.0), ti.f32(1.0)
+    if ti.static(scene.has_occlusion):
+        openness = open_share(scene, identity_of(seen, key), w, x, y, width)
     if ti.static(scene.has_shadow):
         side, cosine = lit_side(n, lamp, through)
         if cosine > 0:
@@ -97,13 +100,19 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
             if share < 0:
                 share, _ = surface_share(scene, view, light, eye, p, side, cosine)
     colour += (axis(look, 3) + ti.f32(0.15) - colour) * scene.stage.wash
-    return tone(illuminate(scene, colour, gloss, through, n, ray, lamp, axis(look, 1), share, open_share))
+    result = illuminate(scene, colour, gloss, through, n, ray, lamp, axis(look, 1), share, openness)
+    if ti.static(scene.has_shadow and scene.has_light_inside):
+        if through < 0:
+            result += light_inside(scene, light, lamp, ray, p, colour, -through)
+    return tone(result)
 
 
 @ti.func
-def behind_share(scene: ti.template(), view, light, look, planes, on_screen, eye, ray, k, x, y, width):
-    """Share of the lamp on a plane."""
-    share = ti.f32(1.0)
+def behind_shares(scene: ti.template(), view, light, look, planes, on_screen, eye, ray, k, x, y, width):
+    """Shares of the lamp and of the sky on a plane."""
+    share, openness = ti.f32(1.0), ti.f32(1.0)
+    if ti.static(scene.has_occlusion):
+        openness = open_share(scene, (PLANE << 28) | k, ti.f32(1.0), x, y, width)
     if ti.static(scene.has_shadow):
         pixel = y * width + x
         cell = scene.backdrop_cell[pixel]
@@ -112,13 +121,86 @@ def behind_share(scene: ti.template(), view, light, look, planes, on_screen, eye
                 share = between(scene, (PLANE << 28) | k, ti.f32(0.0), x, y, width)
                 if share < 0:
                     share, _ = ground_share(scene, view, light, look, planes, eye, ray, k, pixel)
-    return share
+    return share, openness
 
 
 @ti.func
 def darkening(shaded, plain):
     """Opacity of black that makes a plain colour as dark as a shaded one."""
     return ti.max(1 - shaded.sum() / ti.max(plain.sum(), ti.f32(1e-6)), ti.f32(0.0))
+
+
+@ti.func
+def shade(
+    scene: ti.template(), seen: ti.template(), view, light, planes, on_screen, count, eye, look, width, height, x, y
+):
+    """Shade a pixel of a busy tile, see `resolve`."""
+    pixel = y * width + x
+    tile = y // TILE * tiles_across(width) + x // TILE
+    which = scene.plane[pixel]
+    ray = pixel_ray(view, ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5))
+    covered, code = 0, 0
+    if seen.marked[tile] > 0:
+        covered, code = weigh(scene, seen, on_screen, count, which, pixel, ti.cast(x, ti.f32), ti.cast(y, ti.f32))
+    total, slot, weights = vec3(0, 0, 0), pixel * scene.samples, 0
+    while code != 0:
+        weight = code & 15
+        if weight > 0:
+            weights += weight
+            total += weight * colour_of(scene, seen, view, light, look, eye, ray, found(seen, slot), x, y, width)
+        slot += 1
+        code >>= 4
+    if weights != covered:  # of three samples the outer ones may be alike to the middle one only
+        total *= ti.cast(covered, ti.f32) / weights
+    if ti.static(scene.stage.outline > 0):
+        if covered > 0:
+            line = outline(scene, seen, on_screen, count, which, x, y, width, height)
+            total += (covered - total) * (scene.stage.outline * line)
+    packed = 0
+    if ti.static(scene.transparent):
+        solid = ti.cast(covered, ti.f32)
+        if ti.static(scene.catches_shadow):
+            k = ti.abs(which) - 1
+            if covered < scene.samples and k >= 0:
+                shares = behind_shares(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
+                behind = plane_colour(scene, view, planes, look, eye, ray, k, *shares)
+                solid += (scene.samples - covered) * darkening(behind, scene.backdrop[pixel])
+        packed = encode(total / ti.max(solid, ti.f32(1e-6)), x, y) | alpha_byte(solid / scene.samples)
+    else:
+        plain = covered == 0
+        if covered < scene.samples:
+            behind = scene.backdrop[pixel]
+            k = ti.abs(which) - 1
+            if k >= 0:
+                shares = behind_shares(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
+                if shares[0] < 1:
+                    behind, plain = plane_colour(scene, view, planes, look, eye, ray, k, *shares), False
+                elif shares[1] < ti.f32(OPEN):
+                    behind, plain = in_less_sky(scene, planes, look, k, behind, shares[1]), False
+            total += (scene.samples - covered) * behind
+        if ti.static(scene.samples > 1):
+            packed = scene.backdrop_packed[pixel] if plain else encode(total / scene.samples, x, y)
+        else:
+            scene.image[pixel] = total
+    if ti.static(scene.samples > 1):
+        scene.packed[pixel] = packed
+
+
+@ti.kernel
+def find_busy(scene: ti.template(), seen: ti.template(), width: ti.i32, height: ti.i32):
+    """Find the tiles that show anything else than sky and ground in all light."""
+    for tile in range(tiles_across(width) * tiles_across(height)):
+        busy = seen.marked[tile]
+        if ti.static(scene.has_occlusion):
+            if occluded_near(scene, tile, width, height):
+                busy = 1
+        if ti.static(scene.has_shadow):
+            box, cells = scene.tile_cells[tile], scene.shadow_size // COARSE_TEXELS
+            for j in range(box[1], box[3] + 1):
+                for i in range(box[0], box[2] + 1):
+                    if scene.coarse[j * cells + i] > scene.tile_level[tile]:
+                        busy = 1
+        scene.busy[tile] = busy
 
 
 @ti.kernel
@@ -143,57 +225,12 @@ def resolve(
     shadows, the ground is black with the alpha that darkens it by as much as they do.
     """
     for pixel in range(width * height):
-        y = pixel // width
-        x = pixel - y * width
-        tile = y // TILE * tiles_across(width) + x // TILE
-        which = scene.plane[pixel]
-        open_share = ti.f32(1.0)
-        if ti.static(scene.has_occlusion):
-            open_share = scene.openness[pixel]
-        ray = pixel_ray(view, ti.cast(x, ti.f32) + ti.f32(0.5), ti.cast(y, ti.f32) + ti.f32(0.5))
-        covered, code = 0, 0
-        if seen.marked[tile] > 0:
-            covered, code = weigh(scene, seen, on_screen, count, which, pixel, ti.cast(x, ti.f32), ti.cast(y, ti.f32))
-        total, slot, weights = vec3(0, 0, 0), pixel * scene.samples, 0
-        while code != 0:
-            weight = code & 15
-            if weight > 0:
-                weights += weight
-                total += weight * colour_of(
-                    scene, seen, view, light, look, eye, ray, found(seen, slot), x, y, width, open_share
-                )
-            slot += 1
-            code >>= 4
-        if weights != covered:  # of three samples the outer ones may be alike to the middle one only
-            total *= ti.cast(covered, ti.f32) / weights
-        if ti.static(scene.stage.outline > 0):
-            if covered > 0:
-                line = outline(scene, seen, on_screen, count, which, x, y, width, height)
-                total += (covered - total) * (scene.stage.outline * line)
-        packed = 0
-        if ti.static(scene.transparent):
-            solid = ti.cast(covered, ti.f32)
-            if ti.static(scene.catches_shadow):
-                k = ti.abs(which) - 1
-                if covered < scene.samples and k >= 0:
-                    share = behind_share(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
-                    behind = plane_colour(scene, view, planes, look, eye, ray, k, share, open_share)
-                    solid += (scene.samples - covered) * darkening(behind, scene.backdrop[pixel])
-            packed = encode(total / ti.max(solid, ti.f32(1e-6)), x, y) | alpha_byte(solid / scene.samples)
+        x, y = pixel % width, pixel // width
+        if scene.busy[y // TILE * tiles_across(width) + x // TILE] > 0:
+            shade(scene, seen, view, light, planes, on_screen, count, eye, look, width, height, x, y)
+        elif ti.static(scene.transparent):
+            scene.packed[pixel] = 0
+        elif ti.static(scene.samples > 1):
+            scene.packed[pixel] = scene.backdrop_packed[pixel]
         else:
-            plain = covered == 0
-            if covered < scene.samples:
-                behind = scene.backdrop[pixel]
-                k = ti.abs(which) - 1
-                if k >= 0:
-                    share = behind_share(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
-                    if share < 1 or open_share < ti.f32(OPEN):
-                        behind = plane_colour(scene, view, planes, look, eye, ray, k, share, open_share)
-                        plain = False
-                total += (scene.samples - covered) * behind
-            if ti.static(scene.samples > 1):
-                packed = scene.backdrop_packed[pixel] if plain else encode(total / scene.samples, x, y)
-            else:
-                scene.image[pixel] = total
-        if ti.static(scene.samples > 1):
-            scene.packed[pixel] = packed
+            scene.image[pixel] = scene.backdrop[pixel]

@@ -17,7 +17,8 @@ SAME_SHEET = 0.01  # difference of depths, as a part of them
 
 @ti.func
 def lattice_width(width):
-    return width // STEP + 2
+    """Number of points along a side of `width` pixels: those of all tiles, and one more."""
+    return tiles_across(width) * ti.static(TILE // STEP) + 1
 
 
 @ti.func
@@ -75,6 +76,7 @@ def sample(
     width: ti.i32,
     height: ti.i32,
 ):
+    """Find what each point sees, its depth, the share of the lamp there and, for the sky, the normal."""
     for k in range(lattice_width(width) * lattice_width(height)):
         x, y = k % lattice_width(width) * STEP, k // lattice_width(width) * STEP
         share, identity, w, abrupt = ti.f32(UNKNOWN), 0, ti.f32(0.0), False
@@ -90,16 +92,28 @@ def sample(
                 if closeness(seen, key) > w:
                     identity, w = identity_of(seen, key), closeness(seen, key)
             ray = pixel_ray(view, px, py)
-            if STEP * light[3, 0] > ti.f32(WIDEST_BLUR) * view[3, 0] * w:  # the next one is out of reach of its taps
-                pass
-            elif (identity >> 28) == PLANE:
-                share, abrupt = ground_share(scene, view, light, look, planes, eye, ray, which, pixel)
+            # beyond, the next one is out of reach of its taps
+            near = STEP * light[3, 0] <= ti.f32(WIDEST_BLUR) * view[3, 0] * w
+            n = vec3(0, 0, 0)
+            if (identity >> 28) == PLANE:
+                n = plane_normal(planes, which)
+                if ti.static(scene.has_shadow):
+                    if near:
+                        share, abrupt = ground_share(scene, view, light, look, planes, eye, ray, which, pixel)
             elif identity != 0:
-                p, n, _, _, through = surface(scene, view, eye, ray, identity, w, px, py)
-                n, cosine = lit_side(n, axis(look, 0), through)
-                if cosine > 0:
-                    share, abrupt = surface_share(scene, view, light, eye, p, n, cosine)
-        scene.lattice_share[k] = ti.f32(UNKNOWN) if abrupt else share
+                if ti.static(scene.has_occlusion) or near:
+                    p, facing, _, _, through = surface(scene, view, eye, ray, identity, w, px, py)
+                    n = facing
+                    if ti.static(scene.has_shadow):
+                        side, cosine = lit_side(facing, axis(look, 0), through)
+                        if near and cosine > 0:
+                            share, abrupt = surface_share(scene, view, light, eye, p, side, cosine)
+            if ti.static(scene.has_occlusion):
+                scene.lattice_normal[k] = vec3(axis(view, 0).dot(n), axis(view, 1).dot(n), axis(view, 2).dot(n))
+        if ti.static(scene.has_occlusion):
+            scene.open_raw[k], scene.open[k] = ti.f32(1.0), ti.f32(1.0)
+        if ti.static(scene.has_shadow):
+            scene.lattice_share[k] = ti.f32(UNKNOWN) if abrupt else share
         scene.lattice_identity[k] = identity
         scene.lattice_depth[k] = w
 

@@ -253,9 +253,11 @@ class Output(Strict):
     fps: Seconds = _key(60.0, "frames per simulated second [1/s]")
     duration: Seconds = _key(5.0, "simulated time [s]")
     size: tuple[Pixels, Pixels] = _key((1280, 720), "width and height of the pictures [pixels]")
-    stage: Literal["day", "studio", "blueprint"] = _key("day", "the light, the ground and what lies behind")
+    stage: Literal["day", "paper", "dusk", "studio", "blueprint"] = _key(
+        "day", "the light, the ground and what lies behind"
+    )
     background: tuple[Share, Share, Share] | None = _key(None, "sRGB in 0..1 [1]; that of the stage otherwise")
-    ambient_occlusion: bool = _key(False, "soft shadow where surfaces are close, in 3D")
+    ambient_occlusion: bool = _key(True, "soft shadow where surfaces are close, in 3D")
     shadow: bool = _key(True, "that of the sun, in 3D")
     transparent: bool = _key(False, "PNG frames with alpha, without background and ground")
     shadow_catcher: bool = _key(False, "in a transparent picture, the shadows on the ground as black with alpha, in 3D")

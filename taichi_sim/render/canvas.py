@@ -1,5 +1,6 @@
 """Canvas: the fields of a 3D picture. It frees its memory on close()."""
 
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -79,6 +80,7 @@ class Canvas:
         self.samples, self.transparent, self.shadow_size = samples, transparent, SHADOW_SIDE[samples]
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         self.seen = Visibility(fields, size, samples)
+        self.busy = fields.integers(tiles(*size))  # 0: a tile shows sky and ground in all light, nothing else
         self.packed = fields.integers(pixels + 3)  # bytes of the picture
         self.image = fields.vectors(pixels if samples == 1 else 1, 3)  # linear colours
         # plane: the one that lies behind, from 1 on, negative where samples differ, 0 for the sky; backdrop: colour of sky and
@@ -89,22 +91,24 @@ class Canvas:
             fields.integers(pixels),
         )
         self.shadow: Any = None
+        self.has_shadow, self.has_occlusion = shadow, occlusion
+        points = math.prod(-(-side // TILE) * (TILE // shadow_lattice.STEP) + 1 for side in size)
+        # lattice of every fourth pixel of every fourth row: what is seen, its closeness
+        self.lattice_identity, self.lattice_depth = fields.integers(points), fields.reals(points)
         if shadow:
+            self.lattice_share = fields.reals(points)  # of the lamp, negative where not known
             cells = (self.shadow_size // COARSE_TEXELS) ** 2
             self.shadow = Visibility(fields, (self.shadow_size,) * 2, 1, depth_only=True)
             # closeness to the lamp, the largest in each cell, and near it; thin: 1, anything near is too thin for taps
             self.cell, self.coarse, self.thin = fields.reals(cells), fields.reals(cells), fields.integers(cells)
-            corners = (size[0] // shadow_lattice.STEP + 2) * (size[1] // shadow_lattice.STEP + 2)
-            # every fourth pixel of every fourth row: share of the lamp, negative where not known; what is seen, its closeness
-            self.lattice_share, self.lattice_depth = fields.reals(corners), fields.reals(corners)
-            self.lattice_identity = fields.integers(corners)
             # coarse cell that the plane lies in, -1 for none; closeness to the lamp of what casts a shadow there
             self.backdrop_cell, self.backdrop_level = fields.integers(pixels), fields.reals(pixels)
-        self.openness: Any = None
+            # of each tile: the range of its coarse cells, first to last along both axes; the least of these closenesses
+            self.tile_cells, self.tile_level = fields.cells(tiles(*size), 4), fields.reals(tiles(*size))
         if occlusion:
-            few = -(-size[0] // 2) * -(-size[1] // 2)
-            # share of the sky that is seen, smoothed and, at every fourth pixel, not yet; closeness there
-            self.openness, self.open_raw, self.open_depth = fields.reals(pixels), fields.reals(few), fields.reals(few)
+            # normal in the axes of the view; share of the sky that is seen, smoothed and not yet; tiles that see less than all
+            self.lattice_normal, self.occluded = fields.vectors(points, 3), fields.integers(tiles(*size))
+            self.open, self.open_raw = fields.reals(points), fields.reals(points)
         fields.build()
         self.image.fill(0.0)  # see Buffers
         self._scene: tuple[Any, _Scene] | None = None
@@ -173,7 +177,6 @@ class _Scene:
     def __init__(self, buffers: Any, canvas: "Canvas") -> None:
         for owner in (buffers, canvas):
             self.__dict__.update({k: v for k, v in vars(owner).items() if not k.startswith("_")})
-        self.has_shadow, self.has_occlusion = canvas.shadow is not None, canvas.openness is not None
 
 
 def matrix_of(matrix: NDArray) -> Any:

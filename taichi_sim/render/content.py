@@ -89,7 +89,7 @@ class Content:
                 first += len(one.triangles)
             for _ in range(subdivide):
                 uv = subdivided_corners(uv)
-            styles = Styles.of(frame, looks, triangles, binding, bodies, smoothing.sheet, rest, uv)
+            styles = Styles.of(frame, looks, triangles, binding, bodies, smoothing.sheet, rest, uv, size)
         stick = frame.sticks[rods] if len(frame.sticks) == len(springs) else np.zeros(len(rods), dtype=bool)
         return cls(
             source=_source(frame),

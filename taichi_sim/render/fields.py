@@ -28,6 +28,7 @@ class Buffers:
         n, m, t = self.capacity[:3]
         self.has_spheres = bool(np.any(content.radius > 0))
         self.has_rods, self.has_triangles, self.has_bound = m > 0, t > 0, len(content.binding) > 0
+        self.has_light_inside = False
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         # ball: place and radius, 0 where none is drawn; colour: linear
         self.ball, self.colour = fields.vectors(n, 4), fields.vectors(n, 3)
@@ -38,7 +39,8 @@ class Buffers:
             self.corner, self.normal_of, self.part = fields.cells(t, 3), fields.cells(t, 3), fields.integers(t)
             assert content.styles is not None  # in 3D
             self.is_patterned, self.is_see_through = content.styles.are_patterned, content.styles.are_see_through
-            self.style_of, self.style = fields.integers(t), fields.vectors(len(content.styles.rows), 8)
+            self.has_light_inside = content.styles.have_light_inside
+            self.style_of, self.style = fields.integers(t), fields.vectors(*content.styles.rows.shape)
             # place of each corner in its pattern, of which 0 to 1 is a period
             self.place = fields.vectors(3 * t if self.is_patterned else 1, 3)
             # colours of textures, row after row from the top, each followed by its smaller sizes

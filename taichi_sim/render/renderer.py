@@ -37,10 +37,10 @@ class Renderer:
     background nor ground, and alpha; colour: "object", or "strain" or "speed" of balls and surfaces on a scale from the first
     to the second of colour_range (see `Colouring`); subdivide: surfaces 0, 1 or 2 times into four, smoothly; crease: in 3D,
     the angle between triangles in the first frame from which their edge is sharp [degrees], where surfaces are not subdivided;
-    stage: "day", "studio" or "blueprint", the light and what lies behind, in place of which a background may be; looks: in 3D,
-    the keys of a `Look` for each of some shapes and colliders; shutter [s], aperture [m], exposures: see `Exposure`;
-    shadow_catcher: in 3D, transparent pictures hold the shadows on the ground, as black with alpha. Raises ValueError for a bad
-    argument.
+    stage: "day", "paper", "dusk", "studio" or "blueprint", the light and what lies behind, in place of which a background may
+    be; looks: in 3D, the keys of a `Look` for each of some shapes and colliders; shutter [s], aperture [m], exposures: see
+    `Exposure`; shadow_catcher: in 3D, transparent pictures hold the shadows on the ground, as black with alpha. Raises ValueError
+    for a bad argument.
     `render` returns uint8 (height, width, 3), or (height, width, 4) with alpha, by which colours are not multiplied; row 0 at
     the top, sRGB.
     """
@@ -50,7 +50,7 @@ class Renderer:
         frame: Frame,
         size: tuple[int, int] = (1280, 720),
         background: Any = None,
-        ambient_occlusion: bool = False,
+        ambient_occlusion: bool = True,
         shadow: bool = True,
         camera: Camera | CameraPath | Mapping[str, Any] | None = None,
         transparent: bool = False,

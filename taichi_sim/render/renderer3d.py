@@ -48,7 +48,7 @@ class Renderer3D:
         frame: Frame,
         size: tuple[int, int],
         background: Any = None,
-        ambient_occlusion: bool = False,
+        ambient_occlusion: bool = True,
         shadow: bool = True,
         camera: Any = None,
         transparent: bool = False,
@@ -70,6 +70,7 @@ class Renderer3D:
         self._origin, self._unit = np.asarray(self._bounds.centre), self._bounds.size
         self._ambient_occlusion, self._shadow = ambient_occlusion, shadow
         self._zenith, self._horizon = background_colours(background, stage.zenith, stage.horizon)
+        self._glow = float(background is None)
         self._spacing = _nice(self._bounds.size / 6)
         self._content: Any = None
         self.buffers: Any = None
@@ -111,12 +112,13 @@ class Renderer3D:
         canvas.fit_backdrop(scene, (width, height), view, light, planes, eye, look)
         camera = matrix_of(view), vector_of(eye)
         ground = matrix_of(planes.normals), matrix_of(planes.on_screen), planes.number
-        if self._ambient_occlusion:
-            occlusion.occlude(scene, canvas.seen, *camera, *ground, 0.05, width, height)
         lamp = camera[0] if light is None else matrix_of(light)
         last = (camera[1], matrix_of(look), width, height)
-        if light is not None:
+        if self._shadow or self._ambient_occlusion:
             shadow_lattice.sample(scene, canvas.seen, camera[0], lamp, *ground[:2], *last)
+        if self._ambient_occlusion:
+            occlusion.occlude(scene, canvas.seen, camera[0], ground[2], width, height)
+        shading_pass.find_busy(scene, canvas.seen, width, height)
         shading_pass.resolve(scene, canvas.seen, camera[0], lamp, *ground, *last)
         return np.asarray(canvas.finish(width, height))
 
@@ -197,10 +199,10 @@ class Renderer3D:
         self.buffers.load(content, colour, self._unit)
 
     def _look_matrix(self) -> NDArray[np.float64]:
-        """Rows: lamp and the spacing of the grid, fill, zenith, horizon."""
+        """Rows: lamp and the spacing of the grid, fill and the glow's share, zenith, horizon."""
         look = np.zeros((4, 4))
         look[:, :3] = self._lamp, self._fill, self._zenith, self._horizon
-        look[0, 3] = self._spacing / self._unit
+        look[0, 3], look[1, 3] = self._spacing / self._unit, self._glow
         return look
 
     def _view(self, width: int, height: int) -> NDArray[np.float32]:

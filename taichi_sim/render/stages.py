@@ -22,6 +22,7 @@ class Stage:
     bounce: Triple  # light from below
     lamp_angle: tuple[float, float]  # degrees to the right, and of height
     fill_angle: tuple[float, float]
+    glow: Triple  # light above the horizon, below the lamp
     floor: Triple  # colour of the ground, as a part of the horizon's
     checker: float  # difference between its squares, as a part of it
     line: float  # how much its lines differ from it, as a part; above 0 towards white
@@ -43,6 +44,7 @@ DAY = Stage(
     bounce=(0.34, 0.31, 0.29),
     lamp_angle=(-58.0, 52.0),
     fill_angle=(65.0, 12.0),
+    glow=(0.0, 0.0, 0.0),
     floor=(0.775, 0.765, 0.755),
     checker=0.05,
     line=-0.30,
@@ -63,6 +65,7 @@ STUDIO = Stage(
     bounce=(0.08, 0.075, 0.07),
     lamp_angle=(-48.0, 50.0),
     fill_angle=(142.0, 28.0),
+    glow=(0.0, 0.0, 0.0),
     floor=(2.4, 2.35, 2.3),
     checker=0.0,
     line=0.0,
@@ -83,6 +86,7 @@ BLUEPRINT = Stage(
     bounce=(0.50, 0.50, 0.50),
     lamp_angle=(-58.0, 52.0),
     fill_angle=(65.0, 12.0),
+    glow=(0.0, 0.0, 0.0),
     floor=(0.85, 0.85, 0.85),
     checker=0.0,
     line=0.45,
@@ -92,4 +96,46 @@ BLUEPRINT = Stage(
     wash=0.4,
     outline=0.8,
 )
-STAGES = {"day": DAY, "studio": STUDIO, "blueprint": BLUEPRINT}
+PAPER = Stage(
+    zenith=(0.66, 0.665, 0.675),
+    horizon=(0.86, 0.855, 0.845),
+    flat_top=(0.90, 0.895, 0.89),
+    flat_bottom=(0.84, 0.835, 0.83),
+    key=(2.2, 2.1, 1.95),
+    fill=(0.55, 0.58, 0.62),
+    sky=(0.50, 0.51, 0.53),
+    bounce=(0.42, 0.41, 0.40),
+    lamp_angle=(-40.0, 56.0),
+    fill_angle=(75.0, 25.0),
+    glow=(0.0, 0.0, 0.0),
+    floor=(0.84, 0.84, 0.84),
+    checker=0.0,
+    line=0.0,
+    pool=0.05,
+    fog=0.30,
+    gloss=1.2,
+    wash=0.0,
+    outline=0.0,
+)
+DUSK = Stage(
+    zenith=(0.30, 0.38, 0.56),
+    horizon=(0.80, 0.67, 0.62),
+    flat_top=(0.42, 0.42, 0.55),
+    flat_bottom=(0.80, 0.64, 0.56),
+    key=(3.1, 1.95, 1.10),
+    fill=(0.42, 0.46, 0.62),
+    sky=(0.40, 0.46, 0.64),
+    bounce=(0.30, 0.23, 0.21),
+    lamp_angle=(-118.0, 24.0),
+    fill_angle=(40.0, 35.0),
+    glow=(0.60, 0.28, 0.08),
+    floor=(0.36, 0.51, 0.60),
+    checker=0.0,
+    line=0.0,
+    pool=0.03,
+    fog=0.18,
+    gloss=1.2,
+    wash=0.0,
+    outline=0.0,
+)
+STAGES = {"day": DAY, "paper": PAPER, "dusk": DUSK, "studio": STUDIO, "blueprint": BLUEPRINT}

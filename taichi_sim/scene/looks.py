@@ -15,11 +15,35 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError, unknown_key
 
-__all__ = ["PATTERNS", "Look"]
+__all__ = ["FINISHES", "PATTERNS", "Finish", "Look"]
 
+OFF_WHITE = (0.96, 0.95, 0.92)  # sRGB
 MOST_PIXELS, KEPT_PIXELS = 8192, 1024  # along a side of a texture: of a file, and of what is drawn
 FORMATS = ("PNG", "JPEG", "WEBP", "GIF", "BMP", "TIFF")  # none of them starts a program, as PostScript does
-PATTERNS = ("plain", "stripes", "checks")
+PATTERNS = ("plain", "stripes", "checks", "weave")
+REPEATS = {"weave": 120.0, "texture": 1.0}  # of other patterns eight
+
+
+@dataclass(frozen=True, slots=True)
+class Finish:
+    """Gloss and translucency of a surface, where no look gives them: in a sheet the share of the light that comes through, in a
+    body that left after a quarter of its longest side."""
+
+    gloss: float = 0.15
+    sheet: float = 0.4
+    body: float = 0.0
+
+
+FINISHES = {  # of presets of these names
+    "cotton": Finish(0.06, 0.4),
+    "denim": Finish(0.04, 0.15),
+    "polyester": Finish(0.25, 0.4),
+    "knit": Finish(0.04, 0.3),
+    "wool": Finish(0.03, 0.25),
+    "silk": Finish(0.4, 0.5),
+    "rubber": Finish(0.3, 0.05),
+    "gelatine": Finish(0.6, 0.5, 0.4),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,22 +52,28 @@ class Look:
 
     Args:
         of: name of the shape or of the collider.
-        pattern: plain, stripes or checks, which stay with the surface: as they lie on a rectangular cloth, and in a body.
-        pattern_colour: sRGB in 0..1 of every other stripe or field [1].
+        pattern: plain, stripes, checks or weave, which stay with the surface: as they lie on a rectangular cloth, and in a body.
+        pattern_colour: sRGB in 0..1 of every other stripe or field, or of the threads across in a weave, whose own colour is that
+            of the surface [1].
         texture: an image file (PNG, JPEG, WebP, GIF, BMP or TIFF), in place of a pattern; it lies on a cloth as its texture
             coordinates say, upright on a body without any, as if shone through it from the front.
         repeat: how often the pattern repeats, along each side of a cloth, or along the longest side of a body [1]; 8 by default,
-            once for a texture.
-        gloss: of highlights, from 0, matt, to 1 [1].
+            120 threads of a weave, once for a texture.
+        gloss: of highlights, from 0, matt, to 1 [1]; that of the material's preset, else 0.15.
+        translucency: share of the light that comes through a sheet, or that is left inside a body after a quarter of its longest
+            side [1]; that of the material's preset, else 0.4 of a sheet, 0 of a body.
+        hem: width of a stitched hem along the borders of a rectangular cloth, as a part of its sides [1].
         opacity: of a collider: share of what is behind that it hides, to about a quarter [1]. Below 1 it casts no shadow.
     """
 
     of: str
-    pattern: Literal["plain", "stripes", "checks"] = "plain"
-    pattern_colour: tuple[float, float, float] = (0.96, 0.95, 0.92)
+    pattern: Literal["plain", "stripes", "checks", "weave"] = "plain"
+    pattern_colour: tuple[float, float, float] | None = None
     texture: str | PathLike[str] | None = None
     repeat: float | None = None
-    gloss: float = 0.15
+    gloss: float | None = None
+    translucency: float | None = None
+    hem: float = 0.0
     opacity: float = 1.0
 
     @classmethod
@@ -76,8 +106,12 @@ class Look:
                 says = f"has a look already, that of looks[{k}]; give it one"
                 raise SceneError(f"{where}.of", look.of, says=says)
         validation.one_of(f"{where}.pattern", look.pattern, PATTERNS)
-        colour = validation.per_item(f"{where}.pattern_colour", look.pattern_colour, 3, low=0, high=1)
-        usual = 8.0 if look.texture is None else 1.0
+        colour = look.pattern_colour
+        if colour is not None or look.pattern != "weave":
+            given_colour = OFF_WHITE if colour is None else colour
+            red, green, blue = validation.per_item(f"{where}.pattern_colour", given_colour, 3, low=0, high=1).tolist()
+            colour = red, green, blue
+        usual = REPEATS.get(look.pattern if look.texture is None else "texture", 8.0)
         repeat = validation.number(f"{where}.repeat", usual if look.repeat is None else look.repeat, positive=True)
         if look.texture is not None and not isinstance(look.texture, (str, PathLike)):
             raise SceneError(f"{where}.texture", look.texture, "the name of an image file")
@@ -86,12 +120,15 @@ class Look:
                 f"{where}.texture", str(look.texture), says="takes the place of a pattern; give one or the other"
             )
         shares = {
-            key: validation.number(f"{where}.{key}", getattr(look, key), low=0, high=1) for key in ("gloss", "opacity")
+            key: validation.number(f"{where}.{key}", value, low=0, high=0.5 if key == "hem" else 1)
+            for key in ("gloss", "translucency", "hem", "opacity")
+            if (value := getattr(look, key)) is not None
         }
         if shares["opacity"] < 1 and look.of not in colliders:
             raise SceneError(f"{where}.opacity", look.opacity, says="is for colliders; a shape hides what is behind it")
-        red, green, blue = colour.tolist()
-        checked = cls(look.of, look.pattern, (red, green, blue), look.texture, repeat, **shares)
+        if look.hem and look.of in colliders:
+            raise SceneError(f"{where}.hem", look.hem, says="is for cloth; a collider has no borders")
+        checked = cls(look.of, look.pattern, colour, look.texture, repeat, **shares)
         checked.sizes(where)
         return checked
 

@@ -340,10 +340,10 @@ def test_a_transparent_picture_laid_over_a_background_is_the_opaque_one(dim):
 
 @pytest.mark.slow
 def test_a_caught_shadow_darkens_what_is_under_the_picture():
-    """Laid over the picture without shadows, it is as bright as that with them."""
+    """Laid over the picture of a ground in all light, it is as bright as that with shadows, of the lamp and of the sky."""
     frame = balls([(0.0, 0.5, 0.0), (1.2, 0.3, 0.4)], [0.5, 0.3], [RED, GREEN], walls=np.array([[0.0, 1.0, 0.0, 0.0]]))
     camera = Camera(eye=(0.0, 2.0, 6.0), target=(0.3, 0.4, 0.0), fov=35.0)
-    lit, shaded = (picture(frame, camera=camera, shadow=shadow) for shadow in (False, True))
+    lit, shaded = (picture(frame, camera=camera, shadow=dark, ambient_occlusion=dark) for dark in (False, True))
     plain, caught = (picture(frame, camera=camera, transparent=True, shadow_catcher=on) for on in (False, True))
     alpha = caught[:, :, 3:] / 255
     laid = linear(caught[:, :, :3]) * alpha + linear(lit) * (1 - alpha)

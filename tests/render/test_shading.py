@@ -1,17 +1,23 @@
 """Light and looks: sharp edges where they are, both sides of a sheet, edges without steps."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 from PIL import Image
+from taichi_sim.kernels.render import shading_pass
 from test_embedded_surfaces import frame_of
 from test_render import FRONT, GREEN, RED, SIZE, balls, greenish, linear, picture, placed, reddish
 
 from taichi_sim import Box, Capsule, Mesh, Scene, SceneError, load_scene, shapes
+from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.device import backend
+from taichi_sim.files.toml_schema import Output
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
 from taichi_sim.render.smoothing import Smoothing
 from taichi_sim.render.stages import STAGES
+from taichi_sim.scene.looks import Look
 
 pytestmark = pytest.mark.once
 
@@ -182,6 +188,45 @@ def test_slim_triangles_are_shaded_as_those_they_are_cut_into():
     assert off.max() < 12
 
 
+# The sky -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_less_of_the_sky_is_seen_where_a_wall_meets_the_ground():
+    """It is darker there, evenly along the wall and ever less away from it; far away nothing changes."""
+    box = placed(Box((0, 0.6, -1.0), (6, 1.2, 1.0)), 3)
+    ground = np.array([[0.0, 1.0, 0.0, 0.0]])
+    frame = balls(np.array([[-2.0, 0.1, 2.0], [2, 0.1, 2.0]]), 0.01, [GREEN] * 2, colliders=(box,), walls=ground)
+    camera, seen = Camera(eye=(0.0, 2.0, 5.0), target=(0.0, 0.3, 0.0), fov=40.0), []
+    for on in (False, True):
+        with Renderer(frame, size=(320, 180), camera=camera, shadow=False, ambient_occlusion=on) as renderer:
+            seen.append(linear(renderer.render(frame)).mean(axis=2))
+    share = (seen[1] / seen[0])[:, 120:200]
+    foot = 90 + np.argmin(share[90:130].mean(axis=1))
+    along, away = share[foot:].mean(axis=1), share[foot + 40 :]
+    assert along[0] < 0.92
+    assert np.all(np.diff(along[:30:3]) > -0.005)
+    assert share[foot : foot + 30].std(axis=1).max() < 0.02
+    assert np.abs(away - 1).max() < 0.01
+
+
+@pytest.mark.slow
+def test_tiles_of_plain_ground_are_as_if_they_were_shaded(monkeypatch):
+    """Those with neither anything drawn on them nor less of the lamp or of the sky are copied."""
+    frame = balls([(0.0, 0.5, 0.0), (1.2, 0.3, 0.4)], [0.5, 0.3], [RED, GREEN], walls=np.array([[0.0, 1.0, 0.0, 0.0]]))
+    camera, find_busy = Camera(eye=(0.0, 2.0, 8.0), target=(0.3, 0.4, 0.0), fov=60.0), shading_pass.find_busy
+    copied, busy = picture(frame, camera=camera), []
+
+    def all_busy(scene, *given):
+        find_busy(scene, *given)
+        busy.append(scene.busy.to_numpy().mean())
+        scene.busy.fill(1)
+
+    monkeypatch.setattr(shading_pass, "find_busy", all_busy)
+    assert np.array_equal(picture(frame, camera=camera), copied)
+    assert 0.05 < busy[0] < 0.8
+
+
 # Stages -------------------------------------------------------------------------------------------------------------
 
 
@@ -198,11 +243,17 @@ def test_stages_and_a_background_over_each(dim):
             corner[stage, background is None], middle[stage, background is None] = image[0, 0], image[45, 80]
         assert np.all(np.abs(corner[stage, False].astype(int) - (26, 128, 26)) <= 2)
     assert corner["day", True].min() > 130
+    assert corner["paper", True].min() > 130
+    assert corner["dusk", True][0] > corner["dusk", True][2] or dim == 2
     assert corner["studio", True].max() < 60
     assert corner["blueprint", True][2] > 2 * corner["blueprint", True][0]
     if dim == 3:
         assert np.array_equal(middle["studio", True], middle["studio", False])
         assert not np.array_equal(middle["studio", True], middle["day", True])
+
+
+def test_scene_files_know_all_stages():
+    assert get_args(Output.model_fields["stage"].annotation) == tuple(STAGES)
 
 
 def test_a_blueprint_has_lines_at_outlines_and_sharp_edges():
@@ -244,6 +295,85 @@ def test_stripes_and_checks_on_a_cloth():
     assert np.all(seen["stripes"] == seen["stripes"][0])  # along the columns
     assert np.count_nonzero(np.diff(seen["checks"][7])) >= 2
     assert np.count_nonzero(np.diff(seen["checks"][:, 5])) >= 2
+
+
+@pytest.mark.slow
+def test_a_weave_has_threads_near_by_and_their_mean_far_away():
+    frame, seen = upright(), {}
+    for pattern in ("plain", "weave"):
+        look = {"of": "flag", "pattern": pattern, "repeat": 20}
+        for distance in (4.0, 80.0):
+            camera = Camera(eye=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), fov=120.0 / distance)
+            image = linear(picture(frame, camera=camera, shadow=False, looks=[look | {"hem": 0.0}]))
+            seen[pattern, distance] = image[30:60, 60:100].mean(axis=2)
+        look["repeat"] = 1000
+        seen[pattern, "fine"] = linear(picture(frame, camera=FRONT, shadow=False, looks=[look]))[30:60, 66:94]
+    near, plain = seen["weave", 4.0], seen["plain", 4.0]
+    assert near.std() > 0.08
+    assert near.mean() == pytest.approx(plain.mean(), rel=0.15)
+    assert np.abs(seen["weave", "fine"] - seen["plain", "fine"]).max() < 0.01
+
+
+@pytest.mark.slow
+def test_a_hem_is_darker_and_lets_less_light_through():
+    """Seen in front of the lamp: along the borders, as wide as it is said to be."""
+    frame = upright()
+    behind = Camera(eye=(2.0, -3.0, -9.0), target=(0.0, 0.0, 0.0), fov=20.0)
+    plain, hemmed = (
+        linear(picture(frame, camera=behind, looks=[{"of": "flag", "hem": wide}])).mean(axis=2) for wide in (0.0, 0.2)
+    )
+    changed = hemmed < 0.95 * plain
+    middle = np.argwhere(plain != hemmed).mean(axis=0).astype(int)
+    assert np.count_nonzero(changed) > 300
+    assert not changed[middle[0] - 3 : middle[0] + 4, middle[1] - 3 : middle[1] + 4].any()
+
+
+@pytest.mark.slow
+def test_light_comes_through_a_body_the_more_the_thinner_it_is():
+    """A wall of jelly before the lamp: nothing without translucency, and more where its way is shorter."""
+    seen = {}
+    for depth in (0.2, 0.8):
+        scene = Scene(dim=3)
+        wall = shapes.jelly(
+            scene, size=(2, 2, depth), resolution=(5, 5, 3), position=(-1, -1, 0), colour=(0.8, 0.6, 0.2)
+        )
+        scene.set_name(wall.balls, "wall")
+        frame = frame_of(scene)
+        frame.objects = tuple(scene.objects)
+        first = Camera(eye=(0.0, 0.0, 10.0), target=(0.0, 0.0, 0.0), fov=20.0)
+        for share in (0.0, 0.5):
+            options = {"size": SIZE, "looks": [{"of": "wall", "translucency": share}], "camera": first}
+            with Renderer(frame, **options) as renderer:
+                renderer.camera = Camera(eye=(6.0, -3.0, -8.0), target=(0.0, 0.0, depth / 2), fov=20.0)
+                seen[depth, share] = linear(renderer.render(frame))[40:50, 75:85].mean(axis=(0, 1))
+    for depth in (0.2, 0.8):
+        assert np.all(seen[depth, 0.5] >= seen[depth, 0.0])
+    gain = [(seen[depth, 0.5] - seen[depth, 0.0]).max() for depth in (0.2, 0.8)]
+    assert gain[0] > 1.5 * gain[1] > 0
+
+
+def test_fabrics_shine_and_let_light_through_as_they_do():
+    """A preset's gloss and translucency are those of a surface, unless a look gives them, or a material has its name."""
+    rows = {}
+    for material in ("silk", "denim", "default", "own"):
+        scene = Scene(dim=3)
+        if material == "own":
+            scene.add_material("silk", friction=0.1)
+        name = "silk" if material == "own" else material
+        more = {} if material in ("silk", "denim") else {"stiffness": 100.0}
+        sheet = shapes.cloth(scene, size=(1, 1), resolution=(3, 3), material=name, **more)
+        for translucency in (None, 0.9):
+            looks = [] if translucency is None else [Look("cloth_0", translucency=translucency)]
+            styles = Content.of(
+                MomentsOf(scene).at(0.0, scene.position, scene.velocity, scene.velocity, None), 1.0, looks=looks
+            ).styles
+            rows[material, translucency] = tuple(styles.rows[styles.of_triangle[0], :2].tolist())
+        assert len(sheet.triangles) > 0
+    assert rows["default", None] == pytest.approx((0.15, 0.4))
+    assert rows["own", None] == rows["default", None]
+    assert rows["silk", None][0] > rows["default", None][0] > rows["denim", None][0]
+    assert rows["silk", None][1] > rows["default", None][1] > rows["denim", None][1]
+    assert rows["denim", 0.9] == pytest.approx((rows["denim", None][0], 0.9))
 
 
 @pytest.mark.parametrize("repeat", [1, 3])
@@ -408,6 +538,8 @@ def test_looks_that_are_refused(tmp_path):
         ({"of": "flag", "gloss": 2}, r"looks\[0\].gloss: 2"),
         ({"of": "flag", "pattern": "dots"}, "'plain', 'stripes', 'checks'"),
         ({"of": "flag", "opacity": 0.5}, "is for colliders"),
+        ({"of": "flag", "translucency": 1.5}, r"looks\[0\].translucency: 1.5"),
+        ({"of": "flag", "hem": 0.6}, r"looks\[0\].hem: 0.6"),
     ):
         with pytest.raises(SceneError, match=message):
             Renderer(frame, size=SIZE, looks=[look])
