@@ -67,7 +67,7 @@ class Row:
 class Job:
     """Settings with which points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation
     over the scene's own; folder: where batches of rows go, on all machines; mark: start of their names, which differs
-    between sweeps; apart: in a process that does nothing else."""
+    between sweeps; apart: in a process that does nothing else; shared: by several of these."""
 
     subject: Subject
     measures: Measures
@@ -77,6 +77,7 @@ class Job:
     folder: str | None = None
     apart: bool = True
     mark: str = ""
+    shared: bool = False
     known_by: str = field(
         default_factory=lambda: uuid.uuid4().hex
     )  # a worker keeps its simulation from task to task of a job
@@ -131,7 +132,9 @@ class Runner:
 
     def _simulation(self, scene: Scene) -> Any:
         from taichi_sim.device import backend
+        from taichi_sim.device.compile_once import compile_once
         from taichi_sim.simulation.simulation import Simulation
+        from taichi_sim.simulation.structure import kind_of
 
         if self.simulation is not None and not self.simulation.closed:
             try:
@@ -146,9 +149,19 @@ class Runner:
             self.simulation.close()
             if self.job.apart:  # so that kernels of the next are found in the cache, and no memory is kept
                 backend.stop()
+        if self.job.shared:
+            compile_once(kind_of(scene), self.job.known_by, lambda: self._rehearse(scene))
         self.simulation = Simulation(scene, **self.job.settings)
         self.made += 1
         return self.simulation
+
+    def _rehearse(self, scene: Scene) -> None:
+        """Run two steps and read what is measured, by numbers alone: functions of the user's may count how often they run."""
+        from taichi_sim.simulation.simulation import Simulation
+
+        with Simulation(scene, **self.job.settings) as simulation:
+            numbers = Measures(self.job.measures.numbers, {}, every_frame=True)
+            numbers.run(simulation, 2.0 * simulation.dt, 1.0 / simulation.dt)
 
     def close(self) -> None:
         """Give the memory back."""

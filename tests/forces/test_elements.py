@@ -9,6 +9,7 @@ from scene_files import assert_unchanged
 
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
+from taichi_sim.analysis import element_rates as rates_of
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.forces.wind import GUST_WAVES, SIDEWAYS_GUSTS, axes
 from taichi_sim.scene.cells import cell_volumes
@@ -258,6 +259,21 @@ def test_the_bound_is_above_the_exact_eigenvalue_at_rest(dim):
     exact = np.linalg.eigvalsh(root[:, None] * hessian(scene, scene.position) * root)[-1]
     bound = element_rates(scene).elastic
     assert exact * 1.0 < bound < 3.0 * exact, (exact, bound)
+
+
+@pytest.mark.once
+def test_rates_of_the_same_arrays_are_worked_out_once(monkeypatch):
+    """A report asks for them for each method; any change is noticed."""
+    products = []
+    product = rates_of._product
+    monkeypatch.setattr(rates_of, "_known", {})
+    monkeypatch.setattr(rates_of, "_product", lambda *given: products.append(1) or product(*given))
+    scene = box()
+    first, many = element_rates(scene), len(products)
+    assert element_rates(box()) == first
+    assert len(products) == many > 0
+    scene.set_balls(mass=2.0 * scene.mass)
+    assert element_rates(scene).elastic == pytest.approx(first.elastic / 2.0)
 
 
 def test_the_advised_step_counts_elements():
