@@ -53,7 +53,9 @@ class XPBD(Implicit):
         self.hosted = self.solves = self.stages > 0
         if self.solves:
             super().allocate(fields)
-        self.part_at_once = 0.5 if self.solves else 1.0  # of springs that act on old values, before elements and after them
+        self.part_at_once = (
+            0.5 if self.solves else 1.0
+        )  # of springs that act on old values, before elements and after them
         self.notes_load = self.contacts.plan.walls
         if self.notes_load:
             self.start = fields.vectors(self.model.n, self.dim)
@@ -139,13 +141,16 @@ class XPBD(Implicit):
 
     @ti.func
     def begin(self, stage, h, time):
-        """Other forces, and springs there: elements start from where these lead."""
+        """Other forces, and springs there: elements start from where these lead. The energy that the stage may not gain counts from
+        the velocities before both, or a load that elements bear would hide it."""
+        for i in range(self.model.n):
+            self.solver.base[i] = self.ball[i]
         self._kick_by_others(STEP, h, time)
         if ti.static(self.active):
             self.forces.flex(1.0)
             self._one_way(h, False)
         for i in range(self.model.n):
-            self.solver.base[i] = self.ball[i]
+            self.solver.kick[i] = self.forces.external_change(i, h)
             self.solver.q[i] = self.ball[i].v
 
     @ti.func
