@@ -1,11 +1,11 @@
 """Load that elements bear too much at a contact, with methods that solve them before contacts. No Taichi.
 
 Xpbd solves springs as if there were no contact. Implicit Euler and TR-BDF2 solve springs and elements, and xpbd elements, as if
-there were none of balls with balls: what rests on walls and colliders they hold. So what rests moves into the contact, which stops it afterwards. At rest
-a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m. Elements of the stiffness k and the
-damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of the weight. Of TR-BDF2, which has two
-stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second. Verlet solves damping likewise where
-that takes several stages in half a step, and columns show 0.4 of the second part.
+there were none of balls with balls: what rests on walls and colliders they hold. So what rests moves into the contact, which
+stops it afterwards. At rest a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m. Elements of
+the stiffness k and the damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of the weight.
+Of TR-BDF2, which has two stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second. Verlet solves
+damping likewise where that takes several stages in half a step, and columns show 0.4 of the second part.
 """
 
 from typing import NamedTuple

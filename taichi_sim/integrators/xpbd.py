@@ -34,9 +34,8 @@ class XPBD(Implicit):
     splits its mass between its springs. Order 1 with a large constant: stiff springs act softer than they are, unless steps are
     small.
 
-    Elements, and gas beside them, take the place that springs have in implicit Euler: between there and back the velocities become
-    those of a stage that they end, solved to the tolerance. Without springs that is implicit Euler. In this place the step stays
-    symmetric: elements all at once, as their masses are not to be split between dozens of them, see docs/physics.md.
+    Elements, and gas beside them, are solved for together between there and back, by a stage of implicit Euler from the
+    velocities that springs led to: after both passes the step would not be symmetric. Without springs that is implicit Euler.
     """
 
     method = methods.XPBD
@@ -141,8 +140,8 @@ class XPBD(Implicit):
 
     @ti.func
     def begin(self, stage, h, time):
-        """Other forces, and springs there: elements start from where these lead. The energy that the stage may not gain counts from
-        the velocities before both, or a load that elements bear would hide it."""
+        """Other forces, and springs there: elements start from where these lead. What energy the stage may give is judged by the
+        velocities before both: by those after them, a body that only bears its load could gain."""
         for i in range(self.model.n):
             self.solver.base[i] = self.ball[i]
         self._kick_by_others(STEP, h, time)

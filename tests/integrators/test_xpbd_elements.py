@@ -37,7 +37,7 @@ def flat(kind):
     elif kind == "solids":
         scene.add_solids(triangles, young_modulus=2e5, poisson_ratio=0.4)
     else:
-        scene.add_cells(triangles, bulk_modulus=4e5, crush_modulus=1e5)
+        scene.add_cells(triangles, bulk_modulus=4e4, crush_modulus=1e4)
     return scene
 
 
@@ -65,13 +65,13 @@ def test_elements_alone_are_implicit_euler(kind):
     """At steps for which Verlet takes tens."""
     h, scene = 1 / 40, SCENES[kind]()
     places = []
-    fine = 1e-10 if F64 else 1e-5
+    fine = 1e-10 if F64 else 1e-4
     for method in (ImplicitEuler(tolerance=fine), XPBD(tolerance=fine)):
         with simulate(scene, integrator=method, dt=h, substeps=1, contacts="off") as sim:
-            sim.step(12)
+            sim.step(6)
             places.append(sim.position)
     way = np.abs(places[0] - scene.position).max()
-    assert np.abs(places[1] - places[0]).max() < (1e-7 if F64 else 1e-3) * way
+    assert np.abs(places[1] - places[0]).max() < (1e-7 if F64 else 2e-3) * way
 
 
 def linear_scene(seed):

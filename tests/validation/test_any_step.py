@@ -73,7 +73,7 @@ def bodies(number, seed, h, speeds=(0.0, 0.3, 1.0)):
 
 
 def grid(rng, dim):
-    """Uneven rows of balls, and the squares or boxes between them, whose corners are numbered by bits, the first side foremost."""
+    """Uneven rows of balls and the squares or boxes between them, whose corners are numbered by bits, first side first."""
     number = rng.integers(3, 7, 2) if dim == 2 else rng.integers(2, 5, 3)
     rows = [np.cumsum(rng.uniform(0.6, 1.4, n)) / 5.0 for n in number]
     x = np.stack(np.meshgrid(*rows, indexing="ij"), axis=-1).reshape(-1, dim)
