@@ -56,15 +56,23 @@ def sum_block(b, total: ti.template(), springs: ti.template(), h):
 def there_and_back(sweep: ti.template(), springs: ti.template(), h):
     """sweep.change(i, j, e, h) for all springs e, i its lower ball, in order and then in the reverse order, each seeing what
     those before it changed: by colours, whose springs share no ball, or by blocks."""
+    one_way(sweep, springs, h, False)
+    one_way(sweep, springs, h, True)
+
+
+@ti.func
+def one_way(sweep: ti.template(), springs: ti.template(), h, reverse: ti.template()):
+    """The first half of `there_and_back`, or the second one."""
     if ti.static(springs.order == "colours"):
         last = ti.static(len(springs.colours) - 2)
-        for step in ti.static(range(2 * last + 2)):
-            c = ti.static(min(step, 2 * last + 1 - step))
+        for step in ti.static(range(last + 1)):
+            c = ti.static(last - step if reverse else step)
             for e in range(springs.colours[c], springs.colours[c + 1]):
                 sweep.change(springs.spring[e].one, springs.spring[e].other, e, h)
+    elif ti.static(reverse):
+        odd_then_even(springs.blocks, change_block, (sweep, springs, h, True))
     else:
         even_then_odd(springs.blocks, change_block, (sweep, springs, h, False))
-        odd_then_even(springs.blocks, change_block, (sweep, springs, h, True))
 
 
 @ti.func

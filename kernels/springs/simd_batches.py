@@ -15,8 +15,14 @@ def there_and_back(sweep: ti.template(), springs: ti.template(), h):
     """Call sweep.take(i, j, sweep.give(i, j, e, h)) for all springs e from ball i to ball j, in order and then in the reverse
     order, each seeing what those before it changed. give returns the impulse [N s] on ball i and the square of the distance of
     both ends [m^2]; sweep.change(i, j, e, h) is the same for ends that may coincide. For batches see forces.spring_batches."""
+    some_batches(sweep, springs, h, 0, 2 * springs.batches)
+
+
+@ti.func
+def some_batches(sweep: ti.template(), springs: ti.template(), h, begin: ti.template(), end: ti.template()):
+    """Those of `there_and_back` from number `begin` to `end`, in the order in which it takes them."""
     ti.loop_config(serialize=True)
-    for step in range(2 * springs.batches):
+    for step in range(begin, end):
         e = ti.min(step, 2 * springs.batches - 1 - step) * BATCH_WIDTH
         f = ti.Matrix.zero(float, BATCH_WIDTH, sweep.dim)
         nearest = ti.cast(1.0, float)

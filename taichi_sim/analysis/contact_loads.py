@@ -1,11 +1,11 @@
 """Load that elements bear too much at a contact, with methods that solve them before contacts. No Taichi.
 
-Xpbd solves springs as if there were no contact, implicit Euler and TR-BDF2 springs and elements as if there were none of balls
-with balls: what rests on walls and colliders they hold. So what rests moves into the contact, which stops it afterwards. At rest
-a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m. Elements of the stiffness k and the
-damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of the weight. Of TR-BDF2, which has two
-stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second. Verlet solves damping likewise where
-that takes several stages in half a step, and columns show 0.4 of the second part.
+Xpbd solves springs as if there were no contact. Implicit Euler and TR-BDF2 solve springs and elements, and xpbd elements, as if
+there were none of balls with balls: what rests on walls and colliders they hold. So what rests moves into the contact, which
+stops it afterwards. At rest a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m. Elements of
+the stiffness k and the damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of the weight.
+Of TR-BDF2, which has two stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second. Verlet solves
+damping likewise where that takes several stages in half a step, and columns show 0.4 of the second part.
 """
 
 from typing import NamedTuple
@@ -35,11 +35,12 @@ Floats = NDArray[np.float64]
 
 class Excess(NamedTuple):
     """Excess of load on the elements at the lowest layer of a body, as a part of the weight that the layer bears: `elastic`
-    [1/s^2], times h^2, and `damping` [1/s], times h. ball: one of the layer."""
+    [1/s^2], times h^2, and `damping` [1/s], times h. ball: one of the layer. on_balls: it rests on other balls."""
 
     ball: int
     elastic: float
     damping: float
+    on_balls: bool = False
 
     def share(self, method: Method, h: float) -> float:
         """Part of the weight that is borne too much with steps of h seconds."""
@@ -63,7 +64,8 @@ def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
     g = float(np.linalg.norm(scene.gravity))
     if not method.precedes_contacts(scene, h) or g == 0.0 or not scene.n_balls:
         return None
-    solved, up = method.solved(scene), -scene.gravity / g
+    springs_alone = not method.holds_at_surfaces and scene.n_springs > 0 and bool(scene.walls or scene.colliders)
+    solved, up = () if springs_alone else method.solved(scene), -scene.gravity / g
     elastic, damping = _springs(scene, scene.stiffness), _springs(scene, scene.damping)
     for one in solved:
         elastic += one.stiffness(scene)
@@ -92,10 +94,11 @@ def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
     ]
     found = [Excess(int(b), float(rates[0][b]), float(rates[1][b])) for b in np.flatnonzero(rest)]
     found = sorted((one for one in found if one.share(method, h) > 0.0), key=lambda one: -one.share(method, h))
-    if not method.holds_at_surfaces and (scene.walls or scene.colliders):
+    if springs_alone:
         return found[0] if found else None
     extents = _Extents(scene, body, up)
-    return next((one for one in found if extents.may_rest_on_others(body[one.ball])), None)
+    on_others = (one for one in found if extents.may_rest_on_others(body[one.ball]))
+    return next((one._replace(on_balls=True) for one in on_others), None)
 
 
 def _springs(scene: Scene, strength: Floats) -> list[Quadratic]:
@@ -169,7 +172,7 @@ def _of_layers(kinds: list[Quadratic], body: NDArray[np.int64], layer: NDArray[n
 def sentence(excess: Excess, method: Method, h: float) -> str:
     """The excess in words."""
     solved = "strong damping" if method is VERLET else "springs and elements"
-    which, ground = (" of balls", "other balls") if method.holds_at_surfaces else ("", "its lowest balls")
+    which, ground = (" of balls", "other balls") if excess.on_balls else ("", "its lowest balls")
     return (
         f"{method} solves {solved} before contacts{which}: where the body of ball {excess.ball} rests on {ground}, what is next"
         f" to its lowest balls bears {excess.share(method, h):.2g} of its weight too much"

@@ -249,6 +249,7 @@ XPBD = _BackwardEuler(
     1,
     ImplicitLimit(undamped=2.0, damped=1.0),
     solves_gas=True,
+    solves_elements=True,
     single_pass=True,
     contacts_follow=True,
     iterations=2,

@@ -142,8 +142,9 @@ def _explicit(scene: Scene, method: Method, custom: Declared) -> Rates:
 
 
 def _pushed(scene: Scene, method: Method) -> float:
-    """The longest step [s] that the push of gases allows a method; infinite where it solves for them together with all else."""
-    return pushing_gas(scene) if method.single_pass and GASES in method.solved(scene) else np.inf
+    """The longest step [s] that the push of gases allows a method, whose springs answer it once in a step; else infinite."""
+    answers = method.single_pass and scene.n_springs > 0
+    return pushing_gas(scene) if answers and GASES in method.solved(scene) else np.inf
 
 
 def explicit_parts(scene: Scene, method: Method, custom: Declared) -> str:

@@ -21,10 +21,9 @@ FRESH, KNOWN, STRUCK = 1, 0, 2
 class Implicit(Integrator):
     """A method of stages, each solved implicitly; springs, elements and their damping are stable at any step.
 
-    A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`,
-    parts that move. `part`: the length of a stage in steps. `takes_gas`: gas is solved for together with springs. `opening`: how
-    many of the `stages` run only in a step after `prime`.
-    tolerance: of each solution, see StageSolver.
+    A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`, parts that
+    move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how
+    many of the `stages` run only in a step after `prime`. tolerance: of each solution, see StageSolver.
     """
 
     each_once = True
@@ -32,6 +31,7 @@ class Implicit(Integrator):
     stages = 1
     opening = 0
     part = 1.0
+    takes_springs = True
     takes_gas = False
     tolerance = 1e-3
     begin: Callable[..., None]
@@ -47,11 +47,12 @@ class Implicit(Integrator):
     def allocate(self, fields: Fields) -> None:
         """The solver and its fields."""
         self.fresh = fields.integers(1)
+        springs = self.forces.springs if self.takes_springs else None
         elements = [one for one in self.forces.elements if one.implicit]
-        self.solves = self.forces.springs is not None or bool(elements)
+        self.solves = springs is not None or bool(elements)
         gas = self.forces.of_kind(Gases) if self.takes_gas and self.solves else None
         self.forces.take([gas, *elements])
-        self.solver = StageSolver(self.model, self.forces.springs, gas, elements, fields, self)
+        self.solver = StageSolver(self.model, springs, gas, elements, fields, self)
         self.launched = Launched(self.solver)
 
     def solver_report(self) -> SolverStatistics | None:
@@ -72,7 +73,8 @@ class Implicit(Integrator):
     def parts(self) -> list[Part]:
         """All stages, then contacts and the move, for one thread; see `advance`."""
         self.last_parts = tuple(self.finishing())
-        return [Part(self, "_forget", PRIME), Part(self, "_solve_stages", STEP), *self.last_parts]
+        staged = [Part(self, "_forget", PRIME), Part(self, "_solve_stages", STEP)] if self.stages else []
+        return [*staged, *self.last_parts]
 
     @property
     def launched_parts(self) -> Sequence[Part]:

@@ -1,4 +1,4 @@
-"""XPBD with small steps: each spring in turn, implicitly, there and back."""
+"""XPBD with small steps: each spring in turn, implicitly, there and back; elements are solved for in between."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.parts import STEP, Part
 from taichi_sim.forces.gas import Gases
-from taichi_sim.integrators.base import Integrator
+from taichi_sim.integrators.implicit_base import Implicit
 from taichi_sim.integrators.implicit_gas import GasConstraints
 from taichi_sim.kernels.springs import edge_blocks, law, padded_blocks, simd_batches
 from taichi_sim.kernels.vectors import unit
@@ -16,7 +16,7 @@ __all__ = ["XPBD"]
 
 
 @ti.data_oriented
-class XPBD(Integrator):
+class XPBD(Implicit):
     """Order 1, stable at any step; two passes over the springs per substep (Macklin et al. 2019, "Small steps").
 
     Each spring predicts where its ends will be after the step, and gives the impulse that would be right then if the spring were
@@ -33,21 +33,32 @@ class XPBD(Integrator):
     Where sums are atomic, and on a GPU without colours, all springs act once on old values, which is symmetric, and every ball
     splits its mass between its springs. Order 1 with a large constant: stiff springs act softer than they are, unless steps are
     small.
+
+    Elements, and gas beside them, are solved for together between there and back, by a stage of implicit Euler from the
+    velocities that springs led to: after both passes the step would not be symmetric. Without springs that is implicit Euler.
     """
 
     method = methods.XPBD
-    relaxes = True
-    each_once = in_turn = True
+    relaxes = takes_gas = in_turn = True
+    takes_springs = False
+    tolerance = 3e-2
 
     def allocate(self, fields: Fields) -> None:
         """`sum` [N s]: impulses of springs that act on old values. `start` [m/s]: velocities before forces changed them."""
         self.dim = self.model.dim
         self.springs = self.forces.springs
         self.active = self.springs is not None
+        self.stages = int(any(one.implicit for one in self.forces.elements))
+        self.hosted = self.solves = self.stages > 0
+        if self.solves:
+            super().allocate(fields)
+        self.part_at_once = (
+            0.5 if self.solves else 1.0
+        )  # of springs that act on old values, before elements and after them
         self.notes_load = self.contacts.plan.walls
         if self.notes_load:
             self.start = fields.vectors(self.model.n, self.dim)
-        gases = self.forces.of_kind(Gases) if self.active else None
+        gases = self.forces.of_kind(Gases) if self.active and not self.solves else None
         self.inflated = gases is not None
         if self.inflated:
             self.forces.take([gases])
@@ -93,7 +104,7 @@ class XPBD(Integrator):
     def term(self, i, j, e, h):
         """Impulse of spring e on its lower ball i, each ball's mass split between its springs."""
         n, d = self._direction(i, j, e, h)
-        return self._impulse(i, j, e, h, n, d, 1.0, True)
+        return self._impulse(i, j, e, h, n, d, self.part_at_once, True)
 
     @ti.func
     def change(self, i, j, e, h):
@@ -121,10 +132,33 @@ class XPBD(Integrator):
         self.state.kick(i, self.model.inverse_mass[i] * p)
         self.state.kick(j, -self.model.inverse_mass[j] * p)
 
-    def parts(self) -> list[Part]:
-        """Other forces, springs, contacts on the new velocity, then move."""
+    def finishing(self) -> list[Part]:
+        """Other forces and springs, where no elements did them in a stage; contacts on the new velocity, then move."""
         springs = [Part(self, "_kick_by_springs", STEP)] if self.active else []
-        return [Part(self, "_kick_by_others", STEP), *springs, *self.moving(), Part(self, "_relax", STEP)]
+        kicks = [] if self.solves else [Part(self, "_kick_by_others", STEP), *springs]
+        return [*kicks, *self.moving(), Part(self, "_relax", STEP)]
+
+    @ti.func
+    def begin(self, stage, h, time):
+        """Other forces, and springs there: elements start from where these lead. What energy the stage may give is judged by the
+        velocities before both: by those after them, a body that only bears its load could gain."""
+        for i in range(self.model.n):
+            self.solver.base[i] = self.ball[i]
+        self._kick_by_others(STEP, h, time)
+        if ti.static(self.active):
+            self.forces.flex(1.0)
+            self._one_way(h, False)
+        for i in range(self.model.n):
+            self.solver.kick[i] = self.forces.external_change(i, h)
+            self.solver.q[i] = self.ball[i].v
+
+    @ti.func
+    def end(self, stage, h):
+        """The velocities of the stage, and springs back."""
+        for i in range(self.model.n):
+            self.state.kick(i, self.solver.base[i].v - self.ball[i].v)
+        if ti.static(self.active):
+            self._one_way(h, True)
 
     @ti.func
     def _kick_by_others(self, role: ti.template(), h, time):
@@ -142,13 +176,29 @@ class XPBD(Integrator):
         """All at once, or there and back by batches, colours or blocks."""
         self.forces.flex(1.0)
         if ti.static(self.at_once):
-            edge_blocks.sums(self, self.springs, h)
-            for i in range(self.model.n):
-                self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
+            self._all_at_once(h)
         elif ti.static(self.in_batches):
             simd_batches.there_and_back(self, self.springs, h)
         else:
             edge_blocks.there_and_back(self, self.springs, h)
+
+    @ti.func
+    def _one_way(self, h, reverse: ti.template()):
+        """There, or back; or half of all springs at once."""
+        if ti.static(self.at_once):
+            self._all_at_once(h)
+        elif ti.static(self.in_batches):
+            count = ti.static(self.springs.batches)
+            begin = ti.static(count if reverse else 0)
+            simd_batches.some_batches(self, self.springs, h, begin, ti.static(begin + count))
+        else:
+            edge_blocks.one_way(self, self.springs, h, reverse)
+
+    @ti.func
+    def _all_at_once(self, h):
+        edge_blocks.sums(self, self.springs, h)
+        for i in range(self.model.n):
+            self.state.kick(i, self.model.inverse_mass[i] * self.sum[i])
 
     @ti.func
     def load(self, i, h):

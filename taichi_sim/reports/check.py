@@ -125,7 +125,8 @@ def lines(sim: Simulation) -> Iterator[str]:
     if explicit:
         yield from _limited(scene, custom)
     else:
-        yield f"{stiff}: any step is stable, but the error grows with it: springs are damped, and {XPBD} makes them too soft"
+        springs = f": springs are damped, and {XPBD} makes them too soft" if scene.n_springs else ""
+        yield f"{stiff}: any step is stable, but the error grows with it{springs}"
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
         yield f"The step that {names} needs is unknown; declare stiffness_rate"

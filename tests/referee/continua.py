@@ -163,7 +163,7 @@ def _timed(
     settings: dict[str, Any] = {"integrator": method}
     if method == "auto":
         pass
-    elif method not in IMPLICIT:  # xpbd solves for springs alone
+    elif method not in IMPLICIT and not (method == "xpbd" and all(scene.n_springs == 0 for scene in scenes)):
         longest = 0.5 * min(auto_dt(Case(scene, settings, duration)) for scene in scenes)
         settings |= {"dt": float(2.0 ** np.floor(np.log2(longest))), "substeps": 1}
         duration = min(duration, MOST_STEPS * settings["dt"])
