@@ -25,7 +25,8 @@ MOST_ENDS = 4  # of workers of one task
 PATIENCE = 10.0  # s, for a scheduler
 Task = Any
 Kept = TypeVar("Kept")
-Work, Parts = Callable[[Task], Any], Callable[[Task], list[Task]]
+Work = Callable[[Task], Any]
+Parts = Callable[[Task], list[Task]]
 Results = Iterator[tuple[Task, Any]]
 
 

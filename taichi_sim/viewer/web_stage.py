@@ -230,7 +230,7 @@ class WebStage:
                     name, corners, wall.triangles, color=to_bytes(np.array(WALL)), side="front", cast_shadow=False
                 )
             else:
-                ends = (corners[:2] * np.float32([1.0, 1.0, 0.0]))[None]
+                ends = (corners[:2] * np.array([1.0, 1.0, 0.0], np.float32))[None]
                 self.scene.add_line_segments(
                     name, ends, to_bytes(0.7 * np.array(WALL)), thickness=3.0, thickness_units="screen"
                 )
