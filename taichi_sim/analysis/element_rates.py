@@ -138,7 +138,7 @@ def _largest(kinds: list[Quadratic], root: Floats, dim: int) -> float:
         return 0.0
     content = hashlib.blake2b(f"{dim} {[kind.gradient.shape for kind in kinds]}".encode())
     for array in (root, *(array for kind in kinds for array in kind)):
-        content.update(np.ascontiguousarray(array))
+        content.update(np.ascontiguousarray(array).data)
     key = content.digest()
     if key not in _known:
         if len(_known) >= MOST_KNOWN:
