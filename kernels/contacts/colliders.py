@@ -108,6 +108,18 @@ def chord_velocity(colliders: ti.template(), k, x, h):
 
 
 @ti.func
+def past_velocity(colliders: ti.template(), k, x):
+    """Velocity of the matter of collider k at the point x at the end of the step before."""
+    v = 0.0 * x
+    if ti.static(colliders.moves):
+        pose = colliders.pose[k]
+        v = pose.past_v
+        if ti.static(colliders.rotates):
+            v += lever(pose.past_spin, x - pose.x)
+    return v
+
+
+@ti.func
 def largest(q):
     """Index of the largest component."""
     at = 0

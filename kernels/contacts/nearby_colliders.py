@@ -122,7 +122,9 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
         at.slot[place].gap = gap
         at.slot[place].normal = n
         if ti.static(at.moves):
-            at.slot[place].velocity = geometry.chord_velocity(walls.colliders, k, point, h)
+            velocity = geometry.chord_velocity(walls.colliders, k, point, h)
+            at.slot[place].velocity = velocity
+            at.slot[place].lost = n.dot(geometry.past_velocity(walls.colliders, k, point) - velocity)
 
 
 @ti.func

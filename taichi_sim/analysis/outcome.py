@@ -172,7 +172,7 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
         return f"{lost} went into the own damping of {scales.damps}; shorter steps lose less"
     if not scales.damps:
         return f"{lost} went into {_listed(scales.takers)}, as expected"
-    return f"{lost} went into the own damping of {scales.damps}, or into {_listed(scales.takers)}: shorter steps tell"
+    return f"{lost} went into {_listed(scales.takers)}, or into the own damping of {scales.damps}: shorter steps tell"
 
 
 def _listed(names: Sequence[str]) -> str:

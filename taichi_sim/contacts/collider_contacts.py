@@ -29,7 +29,8 @@ class ColliderContacts:
         # key: collider times `faces` plus its face, or EMPTY; gap [m], negative inside; normal: toward the ball
         columns = {"key": ti.i32, "gap": fields.real, "normal": vector}
         if self.moves:
-            columns["velocity"] = vector  # m/s, of the surface, along the chord of the step to come
+            # m/s: velocity of the surface, along the chord of the step to come; what it has lost along the normal
+            columns |= {"velocity": vector, "lost": fields.real}
         self.slot = fields.table(columns, model.n * self.count)
         self.filled = fields.integers(model.n)  # slots in use
         self.has_seams = colliders.count + planes > 1
@@ -72,6 +73,15 @@ class ColliderContacts:
     def velocity(self, i, s):
         """Velocity [m/s] of the surface in slot s of ball i along the chord of the step, where colliders move."""
         return self.slot[i * self.count + s].velocity
+
+    @ti.func
+    def lost(self, i, s):
+        """Speed [m/s] along the normal that the surface in slot s of ball i had at the end of the step before, over that which it
+        has from now on."""
+        lost = 0.0 * self.model.radius[i]
+        if ti.static(self.moves):
+            lost = self.slot[i * self.count + s].lost
+        return lost
 
     @ti.func
     def collider(self, i, s):

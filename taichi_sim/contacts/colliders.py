@@ -18,6 +18,11 @@ __all__ = ["Colliders"]
 KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUSTOM}
 
 
+def _lesser(a: NDArray, b: NDArray) -> NDArray:
+    """The smaller one of two changes of the same sign, else 0: a steady change is one, a jump none."""
+    return np.where(a * b > 0.0, np.sign(a) * np.minimum(np.abs(a), np.abs(b)), 0.0)
+
+
 @ti.data_oriented
 class Colliders:
     """All colliders of a scene. Motions are worked out on the host in float64, for TICKS substeps at a time: `motion`, of which
@@ -26,6 +31,7 @@ class Colliders:
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
+        self.turn = 1 if model.dim == 2 else 3  # components of an angular velocity
         kinds = {c.kind for c in scene.colliders}
         self.has_round, self.has_box, self.has_mesh = ROUND in kinds, BOX in kinds, MESH in kinds
         # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
@@ -42,13 +48,16 @@ class Colliders:
         self.rotates = any(bool(np.any(scene.colliders[k].motion.turns)) for k in moving)
         self._shapes(model, fields, grids)
         vector = ti.types.vector(model.dim, fields.real)
-        # x: centre [m]; along, across: images of its local x and y axes; v [m/s]; spin: angular velocity [1/s]
-        columns = {"x": vector, "along": vector, "v": vector, "spin": fields.real if model.dim == 2 else vector}
+        turn = fields.real if model.dim == 2 else vector
+        # x: centre [m]; along, across: images of its local x and y axes; v [m/s], spin [1/s]: velocity and angular velocity in
+        # the step to come; past_v, past_spin: those with which the step before ended
+        columns = {"x": vector, "along": vector, "v": vector, "spin": turn, "past_v": vector, "past_spin": turn}
         if model.dim == 3:
             columns["across"] = vector
         x, rotation = (np.array(part) for part in zip(*(self._start(k) for k in range(self.count))))
         spin = np.zeros(self.count) if model.dim == 2 else np.zeros((self.count, 3))
-        first = {"x": x, "along": rotation[:, :, 0], "across": rotation[:, :, 1], "v": np.zeros_like(x), "spin": spin}
+        axes = {"along": rotation[:, :, 0], "across": rotation[:, :, 1]}
+        first = {"x": x, **axes, **dict.fromkeys(("v", "past_v"), np.zeros_like(x)), "spin": spin, "past_spin": spin}
         self.pose = fields.table(columns, self.count, first)
         if self.moves:
             self.mover = fields.integers(np.array(moving))
@@ -122,25 +131,31 @@ class Colliders:
             return
         table = np.empty((TICKS + 1, self.movers, self.width), dtype=np.float64)
         for m, k in enumerate(self.moving):
-            x, rotation, v, spin = self.scene.colliders[k].motion.steps(time, h, first, TICKS)
-            table[:, m] = np.concatenate([x, rotation[:, :, 0], v, spin, rotation[:, :, 1]], axis=1)[:, : self.width]
+            x, rotation, v, spin = self.scene.colliders[k].motion.steps(time, h, first - 2, TICKS + 2)
+            past = [one[1:-1] + 0.5 * _lesser(one[2:] - one[1:-1], one[1:-1] - one[:-2]) for one in (v, spin)]
+            parts = (part[2:] for part in (x, rotation[:, :, 0], v, spin, rotation[:, :, 1]))
+            table[:, m] = np.concatenate([*past, *parts], axis=1)[:, : self.width]
         real = np.float64 if self.motion.x.dtype == ti.f64 else np.float32
         self._load(np.ascontiguousarray(table.reshape(-1, self.width), dtype=real))
 
     @ti.kernel
     def _load(self, table: ti.types.ndarray()):
         d = ti.static(self.dim)
+        w = ti.static(self.turn)
         self.tick[0] = 0
         for r in range(table.shape[0]):
             for a in ti.static(range(d)):
-                self.motion[r].x[a] = table[r, a]
-                self.motion[r].along[a] = table[r, d + a]
-                self.motion[r].v[a] = table[r, 2 * d + a]
+                self.motion[r].past_v[a] = table[r, a]
+                self.motion[r].x[a] = table[r, d + w + a]
+                self.motion[r].along[a] = table[r, 2 * d + w + a]
+                self.motion[r].v[a] = table[r, 3 * d + w + a]
                 if ti.static(d == 3):
-                    self.motion[r].spin[a] = table[r, 3 * d + a]
-                    self.motion[r].across[a] = table[r, 4 * d + a]
+                    self.motion[r].past_spin[a] = table[r, d + a]
+                    self.motion[r].spin[a] = table[r, 4 * d + w + a]
+                    self.motion[r].across[a] = table[r, 4 * d + 2 * w + a]
             if ti.static(d == 2):
-                self.motion[r].spin = table[r, 3 * d]
+                self.motion[r].past_spin = table[r, d]
+                self.motion[r].spin = table[r, 4 * d + w]
 
     @ti.func
     def rewind(self):

@@ -216,6 +216,13 @@ class Walls(Surfaces):
             if gap <= self.reach_of(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
+                # by a collider that leaves or stops at once: until the end of the step it bears what rested on it
+                lost = 0.0 * u
+                if ti.static(self.has_colliders and not impacts):
+                    if k >= self.planes.count:
+                        lost = self.collider_contacts.lost(i, k - self.planes.count)
+                        lost = ti.select(lost > self.threshold[0] and u - lost <= self.threshold[0], lost, 0.0)
+                        u -= lost
                 role = self._role(gap, u, touch, crowded, self.contact[c].role >= SUNK)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
                 if u > self.threshold[0] or role >= SUNK or ti.static(not solver.plan.warm_starts):
@@ -236,7 +243,7 @@ class Walls(Surfaces):
                     if k >= self.planes.count and target == 0.0 and self.is_solved(c) and role != REACHABLE:
                         slot, away = k - self.planes.count, self.relative(v, i, k)
                         target = self.collider_contacts.following(ball[i].x, v, away, i, slot, 1.0 / solver.rate[0])
-                self.contact[c].target = target
+                self.contact[c].target = target + lost
                 if ti.static(starts):
                     p = self.contact[c].impulse * n
                     if ti.static(self.model.has_friction):  # along a round surface the normal has turned since

@@ -114,11 +114,11 @@ class _Bricks(Columns, Element):
         mu, lam = lame(scene.dim, scene.brick_modulus, scene.brick_ratio)
         stored = density(gradient, mu, lam)
         strain = np.einsum("bai,bpa->bpi", gradient, bent)  # F^T q
-        own, law = np.unique(_rows(scene)[:, :-1], axis=0, return_inverse=True)
+        own, law = _distinct(_rows(scene)[:, :-1])
         stiff = np.array([stabilisation(row[2:], row[0], row[1]) for row in own]).reshape(
             len(own), *(strain.shape[1:] * 2)
         )
-        stored += 0.5 * np.einsum("bpi,bpiqj,bqj->b", strain, stiff[law.ravel()], strain)
+        stored += 0.5 * np.einsum("bpi,bpiqj,bqj->b", strain, stiff[law], strain)
         return stored * scene.brick_size.prod(axis=1)  # type: ignore[no-any-return]
 
     def cancelling(self, scene: Any) -> float:
@@ -133,14 +133,24 @@ class _Bricks(Columns, Element):
         volume = scene.brick_size.prod(axis=1)
         around = np.bincount(scene.bricks.ravel(), np.repeat(volume, scene.bricks.shape[1]), scene.n_balls)
         weight = np.where(scene.pinned, np.inf, scene.mass)[scene.bricks] / around[scene.bricks]  # of corners
-        own, law = np.unique(_rows(scene), axis=0, return_inverse=True)
+        own, law = _distinct(_rows(scene))
         least = np.full(len(own), np.inf)
-        np.minimum.at(least, law.ravel(), weight.min(axis=1))
+        np.minimum.at(least, law, weight.min(axis=1))
         rates = np.array([rates_at_rest(row[2:-1], row[0], row[1], row[-1]) for row in own]) / least[:, None]
         return float(rates[:, 0].max()), float(rates[:, 1].max())
 
 
 BRICKS = _Bricks()
+
+
+def _distinct(rows: Floats) -> tuple[Floats, NDArray[np.int64]]:
+    """The rows that differ, sorted, and which of them each row is; many times faster than NumPy's `unique` of rows."""
+    order = np.lexsort(rows.T[::-1])
+    sorted_rows = rows[order]
+    first = np.append(True, np.any(sorted_rows[1:] != sorted_rows[:-1], axis=1))
+    law = np.empty(len(rows), dtype=np.int64)
+    law[order] = np.cumsum(first) - 1
+    return sorted_rows[first], law
 
 
 def _patterns(x: Floats, size: Floats) -> tuple[Floats, Floats]:
@@ -198,8 +208,8 @@ def stabilisation(size: Floats, young_modulus: float, poisson_ratio: float) -> F
 
 def laws(scene: Any) -> tuple[Floats, NDArray[np.int32]]:
     """The different bricks of a scene, rows of (modulus, ratio, sides (dim), viscosity); and which of them each is, (b,)."""
-    own, law = np.unique(_rows(scene), axis=0, return_inverse=True)
-    return own, law.ravel().astype(np.int32)
+    own, law = _distinct(_rows(scene))
+    return own, law.astype(np.int32)
 
 
 def _rows(scene: Any) -> Floats:

@@ -443,10 +443,10 @@ def test_verdicts_go_with_the_scene():
     assert "nothing in the scene takes energy" in of_energy(0.0, -0.3, scales._replace(touches=False))
     lossy = scales._replace(takers=("restitution", "friction", "damping"))
     assert of_energy(0.0, -3.0, lossy) == "3 J of it went into restitution, friction and damping, as expected"
-    words = "3 J of it went into the own damping of xpbd, or into damping: shorter steps tell"
+    words = "3 J of it went into damping, or into the own damping of xpbd: shorter steps tell"
     assert of_energy(0.0, -3.0, scales._replace(takers=("damping",), damps="xpbd")) == words
     assert untouched(("damping",)) == ("damping",)
-    words = "3 J of it went into the own damping of tr_bdf2, or into damping and contacts that no frame shows: shorter steps tell"
+    words = "3 J of it went into damping and contacts that no frame shows, or into the own damping of tr_bdf2: shorter steps tell"
     assert of_energy(0.0, -3.0, scales._replace(takers=untouched(lossy.takers), damps="tr_bdf2")) == words
     words = "3 J of it went into the own damping of xpbd; shorter steps lose less"
     assert of_energy(0.0, -3.0, scales._replace(damps="xpbd")) == words

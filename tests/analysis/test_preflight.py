@@ -49,3 +49,40 @@ def test_stiff_parts_that_cannot_tear_do_not_count():
     scene.add_balls([[0.0, 1.0], [0.4, 1.0]], radius=0.05, mass=2.0)
     scene.add_springs([[5, 6]], stiffness=4e8)
     assert not of_tearing(scene, IMPLICIT_EULER, 2e-3)
+
+
+def truss(restitution: float, damping: float = 0.0) -> ts.Scene:
+    """Balls of 0.5 kg on springs of 450 N/m over a floor."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -9.0))
+    scene.add_material("steel", restitution=restitution)
+    balls = scene.add_balls([[0, 1], [1, 1], [0, 2], [1, 2]], radius=0.1, mass=0.5, material="steel")
+    scene.add_springs(balls[[[0, 1], [1, 3], [3, 2], [2, 0], [0, 3], [1, 2]]], stiffness=450.0, damping=damping)
+    scene.add_wall((0, 1), material="steel")
+    return scene
+
+
+@pytest.mark.parametrize(
+    ("method", "restitution", "damping", "warns"),
+    [
+        (VERLET, 1.0, 0.0, True),
+        (TR_BDF2, 0.95, 0.0, True),
+        (IMPLICIT_EULER, 0.9, 0.4, True),
+        (VERLET, 1.0, 0.4, False),  # damped
+        (TR_BDF2, 0.7, 0.0, False),
+        (IMPLICIT_EULER, 0.5, 0.0, False),
+        (XPBD, 1.0, 0.0, False),  # it says so itself
+    ],
+)
+def test_bodies_that_bounce_at_steps_too_long_for_them_are_warned_of(method, restitution, damping, warns):
+    scene = truss(restitution, damping)
+    said = [words for words in cautions(scene, Setup(method, 0.012, "f64", "jacobi")) if words.startswith("bounce: ")]
+    assert len(said) == warns
+    if warns:
+        step = float(said[0].split()[-2])
+        assert 0.003 < step < 0.012
+        assert not [w for w in cautions(scene, Setup(method, 0.99 * step, "f64", "jacobi")) if w.startswith("bounce: ")]
+
+
+def test_only_what_collides_is_warned_of_its_bounces():
+    setup = Setup(VERLET, 0.012, "f64", rule="off")
+    assert not [words for words in cautions(truss(1.0), setup) if words.startswith("bounce: ")]

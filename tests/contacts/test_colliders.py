@@ -390,3 +390,27 @@ def test_a_ball_that_rolls_in_a_hollow_box_meets_the_next_face():
             sim.step()
             deep = [r - c.distance(x[None], 0.0)[0] for c, x in zip(scene.colliders, sim.position)]
             assert (np.array(deep) < 0.1 * way + 100 * EPS).all()
+
+
+@pytest.mark.parametrize("method", ["verlet", *(pytest.param(m, marks=pytest.mark.slow) for m in ("rk4", "tr_bdf2"))])
+def test_what_rests_on_a_floor_that_leaves_at_once_falls_from_then_on(method):
+    """One floor drops, another one that has risen stops; a ball lies on each, and a body of springs on the first."""
+    h, kink, g, speed = 1 / 160, 16 / 160, 7.0, 2.5
+    scene = ts.Scene(dim=2, gravity=(0, -g))
+    x = [0.0, 0.5, 0.7, 3.0]
+    scene.add_balls([[a, R] for a in x], radius=R, velocity=[[0, 0]] * 3 + [[0, speed]])
+    scene.add_springs([[1, 2]], stiffness=300.0, damping=2.0)
+    rest, way = (0.0, 0.0), (0.0, kink * speed)
+    drops = [(0.0, rest), (kink, rest), (kink + 0.4, (0.0, -0.4 * speed))]
+    stops = [(0.0, rest), (kink, way), (1.0, way)]
+    for place, keyframes in ((0.3, drops), (3.0, stops)):
+        scene.add_collider(ts.Box((place, -0.5), (2.0, 1.0), path=keyframes))
+    with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+        sim.step(16)
+        y, v = sim.position[:, 1] - R, np.array([0, 0, 0, speed])
+        assert np.abs(sim.velocity[:, 1] - v).max() < 100 * EPS * speed
+        for k in range(1, 4):
+            sim.step()
+            fallen = y + k * h * v - 0.5 * g * (k * h) ** 2
+            assert np.abs(sim.position[:, 1] - R - fallen).max() < 100 * EPS
+            assert np.abs(sim.velocity[:, 1] - (v - g * k * h)).max() < 100 * EPS * speed

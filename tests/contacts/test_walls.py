@@ -349,3 +349,22 @@ def test_an_oblique_bounce_is_rubbed_by_coulombs_law(dim):
     for v, one in zip(found, mu):
         expected = vector(dim, max(0.0, along - one * (1 + e) * down), e * down)
         assert np.abs(v - expected).max() < (1e-12 if F64 else 1e-5) * down
+
+
+@pytest.mark.slow
+@pytest.mark.once
+def test_a_ball_that_meets_more_walls_in_a_step_than_are_followed_goes_through_none():
+    """Some forty impacts a step."""
+    low, room, r = 0.3, 0.02, 0.15
+    scene = ts.Scene(dim=2, gravity=(0, -6.0))
+    scene.add_material("steel", restitution=1.0)
+    scene.add_balls([[0.0, low + r + 0.4 * room]], radius=r, velocity=[[2.0, -80.0]], material="steel")
+    scene.add_wall((0, 1), low, "steel")
+    scene.add_wall((0, -1), -(low + 2.0 * r + room), "steel")
+    with simulate(scene, dt=0.01, substeps=1) as sim:
+        before = sim.energy().total
+        for _ in range(20):
+            sim.step()
+            assert -EPS * 10 <= sim.position[0, 1] - low - r <= room + EPS * 10
+            assert sim.energy().total <= before * (1.0 + EPS * 100)
+        assert 0.0 < sim.position[0, 0] < 0.5 * 2.0 * sim.time  # it waits most of the time
