@@ -136,7 +136,7 @@ def test_damping_takes_energy_and_keeps_momenta(dim):
     scene, balls = blocks(dim, damping=DAMPING)
     with simulate(scene, integrator="symplectic_euler", dt=1e-4, substeps=1, contacts="off") as sim:
         for kind, (energies, momenta) in watched(sim, scene, balls, 60).items():
-            most = 1e-5 if kind == "cells" else -1e-3  # cells have no damping
+            most = 1e-5 if "cells" in kind else -1e-3  # cells have no damping
             assert (np.diff(energies) < most * energies[0]).all(), kind
             assert np.ptp(momenta, axis=0).max() < 1000 * EPS * np.abs(momenta).max(), kind
 
@@ -154,9 +154,9 @@ def test_energy_and_momenta_are_kept_without_damping(dim):
 
 @pytest.mark.skipif(not F64, reason="rounding hides the small steps")
 def test_verlet_has_order_2():
-    places = []
+    places, smooth = [], [kind for kind in kinds(3) if kind != "crushed cells"]
     for halving in range(4):
-        scene, balls = blocks(3, damping=0.02)
+        scene, balls = blocks(3, damping=0.02, names=smooth)
         with simulate(scene, integrator="verlet", dt=4e-3 / 2**halving, substeps=1, contacts="off") as sim:
             sim.step(80 * 2**halving)
             places.append(sim.position)
