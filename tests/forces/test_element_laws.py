@@ -165,6 +165,16 @@ def test_verlet_has_order_2():
         assert np.log2(np.array(errors[:-1]) / errors[1:]) == pytest.approx([2.0, 2.0], abs=0.05), kind
 
 
+@pytest.mark.once
+def test_both_drivers_give_the_same_bits():
+    found = []
+    for driver in ("fused", "parallel"):
+        with simulate(blocks(3, damping=0.02)[0], ("ordered", driver), dt=1e-3, substeps=1, contacts="off") as sim:
+            sim.step(100)
+            found.append(sim.position)
+    np.testing.assert_array_equal(*found)
+
+
 @each_dim
 def test_elements_with_a_torn_side_act_no_more(dim):
     """The others go on; a ball that has lost all of its elements is free."""
