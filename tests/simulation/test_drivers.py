@@ -33,9 +33,10 @@ def test_every_order_of_springs_comes_to_the_same(build, method, steps, most, mo
     scene, ends = build(), {}
     for order in ("blocks", "gather", "padded", "atomic"):
         monkeypatch.setattr(assembly, "fixed_order", lambda *_, order=order: order)
-        accumulate = "atomic" if order == "atomic" else "ordered"
+        accumulate = order if order in ("gather", "atomic") else "ordered"
         with simulate(scene, (accumulate, "parallel"), integrator=method, dt=H, contacts="off") as sim:
-            assert f"springs.{order}" in sim.kernels()
+            taken = "ends" if order == "gather" and method == "implicit_euler" else order  # it takes each spring once
+            assert f"springs.{taken}" in sim.kernels()
             sim.step(steps)
             ends[order] = sim.position, sim.velocity / np.sqrt(2000.0)
     size = float(np.max(np.abs(ends["blocks"][0])))

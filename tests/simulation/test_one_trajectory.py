@@ -12,8 +12,8 @@ from physics_support import PRECISION, simulate
 import taichi_sim as ts
 from taichi_sim.device import parts
 
-QUICK = {"motors_verlet", "elements"}
-SLOWER = {"tearing_in_wind", "led_by_pins"}
+QUICK = {"motors_verlet"}
+SLOWER = {"tearing_in_wind", "led_by_pins", "elements"}
 MARKS = {
     name: [pytest.mark.long_in("f64")]
     if name in QUICK

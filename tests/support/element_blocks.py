@@ -60,7 +60,11 @@ def _bends(scene, at, corners, damping):
 
 
 def _cells(scene, at, corners, damping):
-    """Cells; in 2D the two of a box act together."""
+    scene.add_cells(at[corners], bulk_modulus=_by_turns(corners, 20.0, 30.0))
+
+
+def _crushed_cells(scene, at, corners, damping):
+    """Cells that resist more below half of their volume, where their stiffness leaps; in 2D the two of a box act together."""
     together = np.arange(len(corners)) % (len(corners) // 2) if scene.dim == 2 else None
     bulk = _by_turns(corners, 20.0, 30.0)
     scene.add_cells(at[corners], bulk_modulus=bulk, crush_modulus=2.0 * bulk, together=together)
@@ -85,6 +89,7 @@ ADD = {
     "springs": _springs,
     "bends": _bends,
     "cells": _cells,
+    "crushed cells": _crushed_cells,
     "membranes": _membranes,
     "bricks": _bricks,
     "solids": _solids,
