@@ -22,8 +22,8 @@ class Implicit(Integrator):
     """A method of stages, each solved implicitly; springs, elements and their damping are stable at any step.
 
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`, parts that
-    move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how many of
-    the `stages` run only in a step after `prime`. tolerance: of each solution, see StageSolver.
+    move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how
+    many of the `stages` run only in a step after `prime`. tolerance: of each solution, see StageSolver.
     """
 
     each_once = True
