@@ -182,6 +182,7 @@ def test_no_body_gains_energy_at_a_thirtieth_of_a_second():
     assert gains(60, 4, 1 / 30, 2.0).max() < GAIN  # the second: 0.25
 
 
+@pytest.mark.skipif(not F64, reason="single precision cannot solve stages as stiff as some here, and says so")
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("h", "order"),
