@@ -12,6 +12,7 @@ BESIDE = 0.01  # part of the distance that the centre of a pixel and its sample 
 BEFORE = 1e-6  # the end of a texture, where the next one begins, with the opposite border
 LAMP_SHARE = 0.62  # of the lamp's light, in what a surface scatters
 INSIDE = 0.6  # of the lamp's light, in what is scattered inside a body
+INSIDE_BIAS = 2.0  # texels: a way as short is none, or those of the shadow map would show
 INSIDE_TAPS = ((1.0, 3.0), (-3.0, 1.0), (-1.0, -3.0), (3.0, -1.0))  # texels
 WEAVE, TEXTURE = 3, 4  # numbers of patterns
 WOVEN_MEAN, THREAD_SLOPE = 0.772, 0.9  # brightness of a weave, tangent at the side of a thread
@@ -287,9 +288,9 @@ def light_inside(scene: ti.template(), light, lamp, ray, p, colour, rate):
         x, y = q[0] + ti.f32(INSIDE_TAPS[k][0]), q[1] + ti.f32(INSIDE_TAPS[k][1])
         w = shadow_tap(scene.shadow, scene.shadow_size, x, y)
         if w > 0:
-            entry += ti.max(w - q[2], ti.f32(0.0))
+            entry += w - q[2]
             count += 1
-    way = entry / ti.max(count, ti.f32(1.0))
+    way = ti.max(entry / ti.max(count, ti.f32(1.0)) - ti.f32(INSIDE_BIAS) / light[3, 0], ti.f32(0.0))
     forward = ti.f32(0.55) + ti.f32(0.45) * ray.normalized().dot(lamp)
     left = ti.exp(-rate * way * (ti.f32(1.25) - colour))
     return colour * vec3(scene.stage.key) * left * (forward * ti.f32(INSIDE))

@@ -246,8 +246,22 @@ def solids_and_cloth():
     return scene
 
 
+def looks_at_dusk():
+    """A woven cloth with a hem, and jelly that light comes through."""
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(
+        scene, size=(1, 1), resolution=(9, 9), rotation=(60, 0, 0), position=(0, 1, 0), colour=(0.2, 0.4, 0.7)
+    )
+    ts.shapes.jelly(scene, size=(0.3, 0.3, 0.3), resolution=(3, 3, 3), position=(0.6, 0, 0.4), colour=(0.9, 0.5, 0.2))
+    scene.add_wall((0, 1, 0))
+    looks = [{"of": "cloth_0", "pattern": "weave", "repeat": 30, "hem": 0.05}, {"of": "jelly_0", "translucency": 0.5}]
+    scene.output = {"stage": "dusk", "looks": looks}
+    return scene
+
+
 PICTURES = {
     "drawn_3d": solids_and_cloth,
+    "drawn_looks": looks_at_dusk,
     "drawn_crowd": lambda: pile(3),
     "drawn_2d": lambda: bits.sticks_and_colliders()[0],
 }
@@ -258,8 +272,8 @@ def picture(name, arch):
     with ts.Simulation(
         PICTURES[name](), arch=arch, precision=PRECISION, contacts="off", driver="parallel", dt=1e-4
     ) as sim:
-        frame = sim.frame()
-    renderer = Renderer(frame, size=(480, 270))
+        frame, output = sim.frame(), sim.scene.output
+    renderer = Renderer(frame, size=(480, 270), **{key: output[key] for key in ("stage", "looks") if key in output})
     return renderer.render(frame)
 
 
