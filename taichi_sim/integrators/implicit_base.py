@@ -27,7 +27,7 @@ class Implicit(Integrator):
     """
 
     each_once = True
-    hosted = True
+    hosted = refines = True
     stages = 1
     opening = 0
     part = 1.0

@@ -231,10 +231,9 @@ class StageSolver(Verdicts):
                     own, whole = self.q[i] - self.base[i].v, self.q[i] - self.first[i] - change
                     within += ti.cast(ti.max(own.norm_sqr(), whole.norm_sqr()) / w, self.wide)
                     load += ti.cast((self.kick[i] - alike).norm_sqr() / w, self.wide)
-                    stiffness = of_elements.trace()
-                    blur = (s * self.rough[i] + self.eps_of_places * stiffness / s) * ti.abs(self.base[i].x).max()
-                    blur += self.eps * ti.abs(self.first[i]).max() * (1.0 / w + stiffness)
-                    noise += ti.cast(blur * blur * inverse.trace(), self.wide)
+                    far, speed = ti.abs(self.base[i].x).max(), self.eps * ti.abs(self.first[i]).max()
+                    blur, sway = s * self.rough[i] * far + speed / w, self.eps_of_places / s * far + speed
+                    noise += ti.cast(blur * blur * inverse.trace() + sway * sway * of_elements.trace(), self.wide)
                     if ti.static(self.holds):
                         held += ti.select(self.held.holds(i), 1.0, 0.0)
                 self.inverse_block[i] = inverse

@@ -177,7 +177,9 @@ class Assembly:
         self.model = Model(scene, self.fields)
         self.model.set_spinning(turning(scene, settings, forces))
         small = _is_small(scene)
-        self.state = State(self.model, self.fields, compensated=compensates(scene, backend), order=order)
+        self.state = State(
+            self.model, self.fields, compensated=compensates(scene, backend, settings.integrator), order=order
+        )
         self.fused = cpu and _is_serial(scene, settings, backend.threads)
         self.atomic = settings.accumulate == "atomic"
         self.parallel = settings.accumulate == "gather" or not (cpu or self.atomic)
@@ -304,7 +306,7 @@ class Assembly:
         if contacts.split:  # masses in two parts, those of a ball between two others
             give *= 2.0 / contacts.relaxation
         rule = contacts.name if contacts.active else "off"
-        rounds = compensates(scene, backend)
+        rounds = compensates(scene, backend, settings.integrator)
         impacts = IN_TURN
         if self.plan.pairs and not self.plan.impacts_in_turn:
             impacts = AT_ONCE if contacts.split else IN_SWEEPS if contacts.in_turn else IN_TURN
@@ -539,10 +541,10 @@ def _is_serial(scene: Scene, settings: Settings, threads: int) -> bool:
     return may_collide(scene) or bool(scene.solid.any() or scene.collides.any())
 
 
-def compensates(scene: Scene, backend: Backend) -> bool:
+def compensates(scene: Scene, backend: Backend, integrator: Any) -> bool:
     """True if sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
-    speed."""
-    return _is_small(scene) and _rounds(scene, backend)
+    speed of explicit methods."""
+    return (_is_small(scene) or integrator.refines) and _rounds(scene, backend)
 
 
 def _rounds(scene: Scene, backend: Backend) -> bool:

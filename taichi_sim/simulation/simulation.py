@@ -135,7 +135,14 @@ class Simulation(Reader):
         scene, backend = self.scene, self.backend
         if np.isfinite(scene.break_strain).any():
             raise SceneError("tolerance", says="cannot be kept where springs tear; give dt, or leave break_strain out")
-        check_digits(scene, tolerance, backend.precision, self.dt, substeps, compensates(scene, backend))
+        check_digits(
+            scene,
+            tolerance,
+            backend.precision,
+            self.dt,
+            substeps,
+            compensates(scene, backend, self.settings.integrator),
+        )
         if bodies_of(scene):
             says = "cannot be kept together with probes of force or impulse; give dt, or leave them out"
             raise SceneError("tolerance", says=says)
