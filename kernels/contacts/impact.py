@@ -156,10 +156,10 @@ def pushed(walls: ti.template(), i, key, x, after, time):
 @ti.func
 def pressing_speed(walls: ti.template(), i, k, n, v):
     """Normal speed, 0 or negative, with which ball i at the velocity v presses into its surface k; one that falls away is
-    followed."""
+    followed, one that is foreseen is reached."""
     least = 0.0 * v[0]
-    if ti.static(walls.has_colliders):
-        if k >= walls.planes.count:
+    if ti.static(walls.has_colliders or walls.foresees):
+        if k >= walls.planes.count or (ti.static(walls.foresees) and walls.law(i, k).restitution == 0.0):
             least = ti.min(0.0, walls.contact[i * walls.count + k].target)
     return ti.min(0.0, n.dot(walls.relative(v, i, k)) - least)
 

@@ -2,8 +2,8 @@
 
 # The role of a wall or collider for a ball: LEAVING, it is no constraint of the solve; RESTING on it; REACHABLE, the ball may be
 # pushed there by others; SUNK, inside of it already and turned back by the solve; ARRIVING fast, left to the move with its exact
-# time.
-LEAVING, RESTING, REACHABLE, SUNK, ARRIVING = range(5)
+# time; FORESEEN, an implicit stage took it as reached at the end of the step.
+LEAVING, RESTING, REACHABLE, SUNK, ARRIVING, FORESEEN = range(6)
 BALL_ALONE, BALL_CROWDED, BALL_ARRIVING = range(
     3
 )  # a ball that touches no others; one that does; one that arrives fast at a wall besides

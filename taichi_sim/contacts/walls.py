@@ -17,6 +17,7 @@ from taichi_sim.kernels.contacts.kinds import (
     BALL_ALONE,
     BALL_ARRIVING,
     BALL_CROWDED,
+    FORESEEN,
     LEAVING,
     REACHABLE,
     RESTING,
@@ -173,6 +174,15 @@ class Walls(Surfaces):
         return T, solving
 
     @ti.func
+    def foresee(self, i, k):
+        """Leave contact k of ball i, which does not touch it yet, to the solve, which has it reached at the end of the step."""
+        c = i * self.count + k
+        if self.contact[c].role != FORESEEN:
+            self.contact[c].role = FORESEEN
+            self.mass_parts[i] = ti.select(self.touching[i] > 0, self.mass_parts[i] + 1.0, 1.0)
+            self.touching[i] = self.touching[i] + 1
+
+    @ti.func
     def shares(self, ball: ti.template(), i):
         """Sum of n n^T over the walls that ball i touches, and their number."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
@@ -213,7 +223,8 @@ class Walls(Surfaces):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             touch = self.touch(ball[i].x, i, k)
-            if gap <= self.reach_of(i, touch, crowded):
+            foreseen = self.contact[c].role == FORESEEN
+            if foreseen or gap <= self.reach_of(i, touch, crowded):
                 n = self.normal(i, k)
                 u = n.dot(self.relative(v, i, k))
                 # by a collider that leaves or stops at once: until the end of the step it bears what rested on it
@@ -238,6 +249,8 @@ class Walls(Surfaces):
                 if ti.static(self.plan.walls_in_turn):
                     if crowded:
                         target, role = self._crowded_target(solver, i, n, e, u, gap, touch, target, role, impacts)
+                if foreseen:
+                    target, role = -ti.max(0.0, gap) * solver.rate[0], RESTING
                 self.contact[c].role = role
                 if ti.static(self.has_colliders and impacts):
                     if k >= self.planes.count and target == 0.0 and self.is_solved(c) and role != REACHABLE:

@@ -26,6 +26,7 @@ class FreeTurns:
         self.part = bodies.columns({"moment": vector, "torque": vector, "inertia": ti.types.matrix(3, 3, self.wide)})
         self.turn, self.centre = (fields.vectors(bodies.count, 3) for _ in range(2))
         self.step = fields.reals(1)
+        self.held = fields.integers(bodies.count)  # 1: surfaces hold balls of this body, and may give it a torque
 
     @ti.func
     def _long(self, vector):
@@ -89,7 +90,7 @@ class FreeTurns:
     @ti.func
     def _find_turn(self, b):
         self.turn[b] = ti.Vector.zero(float, 3)
-        if self.mass[b] > 0.0:
+        if self.mass[b] > 0.0 and self.held[b] == 0:
             mass = ti.cast(self.mass[b], self.wide)
             centre = self.bodies.total(self.part.moment, b) / mass
             inertia = self.bodies.total(self.part.inertia, b) - self._inertia(centre, mass)

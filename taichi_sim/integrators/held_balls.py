@@ -4,7 +4,12 @@ A stage that knew of no surface would let what rests fall into it, and elements 
 a ball along the normals n of its surfaces is theirs, and the rest of it is solved for: conjugate gradients go on in the space in
 which n . v is given, where residuals and directions have no part along n (Baraff and Witkin, 1998). What the residual has along n
 then is the impulse of the surface, which must push. The stage ends with velocities without it: the solve of contacts that follows
-finds it, as any other load, and bears it with friction.
+finds it, as any other load, and bears it.
+
+Friction that followed the stage would strain elements after they were solved for, which gives energy. So it acts in the stage
+too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. Both b and u are those
+of the solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
+direction, which is implicit.
 """
 
 from typing import Any
@@ -22,6 +27,8 @@ __all__ = ["HeldBalls"]
 
 # squared sine of the angle (3 degrees) between a normal and those before it: below, it adds no direction
 LEAST_SQUARE = 0.003
+STUCK = 0.003  # of what friction can change in a stage: a ball that slides more slowly sticks
+FRICTION_TOLERANCE = 0.05  # of friction, in units of all impulses
 SWEEPS = 64  # over the surfaces of a ball, where it has several, for the impulses of each
 
 
@@ -31,22 +38,31 @@ class HeldBalls:
 
     Fields: `normals` (n): the projection on the directions along which a ball is held, 0 of most; `reaction` (n) [m/s]: what the
     solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
-    surface k: whether it `holds`, the `target` of the speed away from it, and its `push` [m/s].
+    surface k: whether it `holds`, the `target` of the speed away from it, -FAR_GAP where the ball cannot reach it, and its
+    `push` [m/s]. `friction`: the `most` that it can change a velocity by [m/s], and its `drag`, in this solution and the `next`.
+    `last_most`: the most in each stage of the step before. `carried` [m/s]: velocity of what moves and holds a ball.
     """
 
-    def __init__(self, model: Model, walls: Any, bodies: Bodies, fields: Fields) -> None:
+    def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
+        self.rubs = model.has_friction
         walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
         self.contact = fields.table(
             {"holds": ti.i32, "target": fields.real, "push": fields.real}, model.n * walls.count
         )
+        if self.rubs:
+            self.friction = fields.table({"most": fields.real, "drag": fields.real, "next": fields.real}, model.n)
+            self.last_most = fields.reals(model.n * method.stages)
+            if walls.moves:
+                self.carried = fields.vectors(model.n, model.dim)
         self.joined = fields.integers((bodies.joined[bodies.body] & ~model.scene.pinned).astype(np.int32))
 
     @ti.func
-    def choose(self, i, start, q, s, meets):
-        """Choose the surfaces that hold ball i in a stage of s seconds from `start`, its place and velocity.
+    def choose(self, i, start, change, q, s, stage, meets):
+        """Choose the surfaces that hold ball i in a stage of s seconds from `start`, its place and velocity, which is expected to
+        `change`.
 
         They are those that bore a load in the step before; those that it would go into at the velocity q that it has without
         elements; and, if it `meets` any in this stage, the planes that it would go through. Returns its velocity, with which
@@ -56,6 +72,7 @@ class HeldBalls:
         for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
             c, holds = i * self.walls.count + k, False
             gap = self.walls.gap(self.walls.state.ball[i].x, i, k)
+            self.contact[c].target = -FAR_GAP
             if gap < FAR_GAP:
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
@@ -64,8 +81,8 @@ class HeldBalls:
                     self.contact[c].target = 0.0
                 elif meets:
                     ahead = ti.max(0.0, gap) + n.dot(start.x - self.walls.state.ball[i].x)
-                    holds = s * approach > ahead
                     self.contact[c].target = -ahead / s
+                    holds = s * approach > ahead
             self.contact[c].holds = ti.cast(holds, ti.i32)
             held += ti.cast(holds, ti.i32)
         self.normals[i] = ti.Matrix.zero(float, self.dim, self.dim)
@@ -74,7 +91,17 @@ class HeldBalls:
             self._span(i)
             if self.holds(i):
                 v = self._with_targets(i, v)
+        if ti.static(self.rubs):
+            self._expect_friction(i, v + change, stage)
         return v
+
+    @ti.func
+    def could_hold(self, i):
+        """True if a surface may hold ball i in this stage."""
+        found = False
+        for c in range(i * self.walls.count, ti.select(self.joined[i] == 1, i + 1, i) * self.walls.count):
+            found = found or self.contact[c].target > -FAR_GAP
+        return found
 
     @ti.func
     def _span(self, i):
@@ -124,8 +151,8 @@ class HeldBalls:
         self.reaction[i] = self.model.inverse_mass[i] * (self.normals[i] @ r)
 
     @ti.func
-    def pull(self, i):
-        """Impulse [N s] with which the surfaces of ball i, which is held, would have to pull at it; notes their pushes."""
+    def unborne(self, i):
+        """Change of velocity that ball i lacks beside what its surfaces give it by pushing; notes their pushes."""
         rest = -self.reaction[i]
         first, number = i * self.walls.count, 0
         for c in range(first, first + self.walls.count):
@@ -138,13 +165,120 @@ class HeldBalls:
                     now = ti.max(0.0, before + n.dot(rest))
                     rest -= (now - before) * n
                     self.contact[first + k].push = now
+        return rest
+
+    @ti.func
+    def amiss(self, i, v, allowed):
+        """Impulse [N s] that is wrong with the surfaces of ball i at the velocity v: with which those that hold it would have to
+        pull, others to stop it, and by which friction is not what they can give. Notes their pushes. allowed: part of all
+        impulses that the residual may be, squared."""
+        rest = self.unborne(i)
+        if ti.static(self.rubs):
+            rest += (ti.sqrt(allowed) / FRICTION_TOLERANCE) * self._change_of_friction(i, v)
+        for k in range(self.walls.count):
+            c = i * self.walls.count + k
+            if self.contact[c].holds == 0 and self.contact[c].target > -FAR_GAP:
+                n = self.walls.normal(i, k)
+                short = self.contact[c].target - n.dot(self.walls.relative(v, i, k))
+                if short > 0.0:
+                    self.contact[c].push = short
+                    rest += short * n
         return rest / self.model.inverse_mass[i]
 
     @ti.func
-    def release(self, i):
-        """Release ball i from the surfaces that do not push; see `pull`."""
-        first = i * self.walls.count
-        for c in range(first, first + self.walls.count):
-            if self.contact[c].push == 0.0:
-                self.contact[c].holds = 0
+    def renew(self, i, v):
+        """Have those surfaces hold ball i that push, with the friction that they can give, see `amiss`. Returns the velocity
+        that it has then in place of v."""
+        for c in range(i * self.walls.count, (i + 1) * self.walls.count):
+            self.contact[c].holds = ti.cast(self.contact[c].push > 0.0, ti.i32)
         self._span(i)
+        if ti.static(self.rubs):
+            self.friction[i].drag = self.friction[i].next
+            self._note_carrier(i)
+        result = v
+        if self.holds(i):
+            result = self._with_targets(i, v)
+        return result
+
+    @ti.func
+    def hand_on(self, i, v, stage):
+        """Velocity of ball i without what surfaces give it in the stage, which ended with v: their pushes and the friction that
+        these allow, so that contacts find both. Where that is not all that v asks for, the rest is left out: as an impulse that
+        elements did not answer to it would give energy."""
+        self.reaction[i] = self.reaction[i] + self.unborne(i)
+        if ti.static(self.rubs):
+            self._bound_friction(i)
+            self.friction[i].drag = self._drag(i, v)
+            self.reaction[i] = self.reaction[i] - self.rub(i, v)
+            self.last_most[stage * self.model.n + i] = self.friction[i].most
+            for k in range(self.walls.count):
+                if self._rubs_at(i, k) and self.walls.contact[i * self.walls.count + k].role != RESTING:
+                    self.walls.foresee(i, k)
+        return v + self.reaction[i]
+
+    # Friction
+
+    @ti.func
+    def _expect_friction(self, i, v, stage):
+        """Expect as much friction on ball i, at the velocity v, as in this stage of the step before; none if nothing holds it."""
+        self.friction[i].most = ti.select(self.holds(i), self.last_most[stage * self.model.n + i], 0.0)
+        self._note_carrier(i)
+        self.friction[i].drag = self._drag(i, v)
+
+    @ti.func
+    def _note_carrier(self, i):
+        """Note the velocity of what holds ball i."""
+        if ti.static(self.walls.moves):
+            at_rest = ti.Vector.zero(float, self.dim)
+            self.carried[i] = at_rest
+            for k in range(self.walls.count):
+                if self.contact[i * self.walls.count + k].holds == 1:
+                    self.carried[i] = -self.walls.relative(at_rest, i, k)
+
+    @ti.func
+    def slip(self, i, v):
+        """Velocity of ball i, given its own, along the surfaces that hold it."""
+        if ti.static(self.walls.moves):
+            v -= self.carried[i]
+        return self.along(i, v)
+
+    @ti.func
+    def _drag(self, i, v):
+        """Drag of ball i with which its friction is the most that it can be at the velocity v, and less if it sticks."""
+        most = self.friction[i].most
+        speed = ti.sqrt(self.slip(i, v).norm_sqr() + (STUCK * most) ** 2)
+        return ti.select(most > 0.0, most / ti.select(most > 0.0, speed, 1.0), 0.0)
+
+    @ti.func
+    def rub(self, i, v):
+        """Change of the velocity v of ball i by friction [m/s]."""
+        return -self.friction[i].drag * self.slip(i, v)
+
+    @ti.func
+    def potential(self, i, v):
+        """Potential of friction at the velocity v of ball i, over its mass [J/kg]."""
+        return 0.5 * self.friction[i].drag * self.slip(i, v).norm_sqr()
+
+    @ti.func
+    def _change_of_friction(self, i, v):
+        """Change of the velocity v of ball i by which its friction is not what its pushes allow; notes the drag that they do."""
+        self._bound_friction(i)
+        self.friction[i].next = self._drag(i, v)
+        return (self.friction[i].drag - self.friction[i].next) * self.slip(i, v)
+
+    @ti.func
+    def _bound_friction(self, i):
+        """Bound the friction of ball i by its pushes."""
+        most = 0.0 * self.friction[i].most
+        for k in range(self.walls.count):
+            if self._rubs_at(i, k):
+                most += self.walls.law(i, k).friction * self.contact[i * self.walls.count + k].push
+        self.friction[i].most = most
+
+    @ti.func
+    def _rubs_at(self, i, k):
+        """True if the friction of ball i at its surface k acts in the stage: that of a bounce does when it moves."""
+        c, yes = i * self.walls.count + k, False
+        if self.contact[c].holds == 1 and self.contact[c].push > 0.0:
+            yes = self.walls.contact[c].role == RESTING or self.walls.law(i, k).restitution == 0.0
+        return yes

@@ -87,6 +87,8 @@ class Implicit(Integrator):
         if ti.static(self.solves):
             for i in range(self.model.n * self.stages):
                 self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
+                if ti.static(self.solver.rubs):
+                    self.solver.held.last_most[i] = 0.0
 
     @ti.func
     def _solve_stages(self, role: ti.template(), h, time):

@@ -56,7 +56,7 @@ SUMS = (
     ),
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
-HELD_SUMS = ("held", "pull")  # where balls may be held: so many; what would pull at them
+HELD_SUMS = ("held", "near", "pull")  # where balls may be held: so many are; so many may be; what is wrong with it
 
 
 @ti.data_oriented
@@ -84,7 +84,7 @@ class StageSolver(Verdicts):
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
-        self.holds = False
+        self.holds = self.rubs = False
         if not self.has_springs and not self.has_elements:
             return
         scene, width = model.scene, padded_blocks.width(self.dim)
@@ -105,7 +105,8 @@ class StageSolver(Verdicts):
         self.bodies = Bodies(model, self.elements.ties if self.elements is not None else NO_TIES, fields)
         self.holds = method.contacts.plan.walls
         if self.holds:
-            self.held = HeldBalls(model, method.contacts.walls, self.bodies, fields)
+            self.rubs = model.has_friction
+            self.held = HeldBalls(model, method.contacts.walls, self.bodies, method, fields)
         numbers = (*NUMBERS, *(HELD_NUMBERS if self.holds else ()))
         self.number = fields.table(dict.fromkeys(numbers, self.wide), self.bodies.count)
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
@@ -177,7 +178,7 @@ class StageSolver(Verdicts):
         self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.holds):
-            self.bodies.join((self.part.held,))
+            self.bodies.join((self.part.held, self.part.near))
         if ti.static(self.levels.active):
             self.levels.factor(self)
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -190,7 +191,9 @@ class StageSolver(Verdicts):
                 self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
                 if ti.static(self.holds):
-                    self.number[b].held = self.bodies.total(self.part.held, b)
+                    self.number[b].near = self.bodies.total(self.part.near, b)
+                    if ti.static(self.turns_freely):
+                        self.turns.held[b] = ti.cast(self.bodies.total(self.part.held, b) > 0.0, ti.i32)
                 self.judge_guess(b)
 
     @ti.func
@@ -209,7 +212,7 @@ class StageSolver(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         if self.begins(self.bodies.part[c].body):
-            residual = force = kinetic = within = noise = load = held = ti.cast(0.0, self.wide)
+            residual = force = kinetic = within = noise = load = held = near = ti.cast(0.0, self.wide)
             change = self.free.change[self.bodies.part[c].body]
             alike = self._kick_of_all(self.bodies.part[c].body)
             for k in range(self.bodies.part[c].count):
@@ -236,6 +239,7 @@ class StageSolver(Verdicts):
                     noise += ti.cast(blur * blur * inverse.trace() + sway * sway * of_elements.trace(), self.wide)
                     if ti.static(self.holds):
                         held += ti.select(self.held.holds(i), 1.0, 0.0)
+                        near += ti.select(self.held.could_hold(i), 1.0, 0.0)
                 self.inverse_block[i] = inverse
             self.part[c].residual = residual
             self.part[c].force = force
@@ -245,6 +249,7 @@ class StageSolver(Verdicts):
             self.part[c].load = load
             if ti.static(self.holds):
                 self.part[c].held = held
+                self.part[c].near = near
             self._measure_work(c)
 
     @ti.func
@@ -310,7 +315,10 @@ class StageSolver(Verdicts):
         if ti.static(self.inflated):
             g = ti.cast(self.gas.gradient(i), self.wide)
             along += g.outer_product(g)
-        whole = along + ti.cast(curved, self.wide) + (across + 1.0 / ti.cast(w, self.wide)) * one
+        inertia = 1.0 / ti.cast(w, self.wide)
+        if ti.static(self.rubs):
+            inertia *= 1.0 + ti.cast(self.held.friction[i].drag, self.wide)
+        whole = along + ti.cast(curved, self.wide) + (across + inertia) * one
         return ti.cast(whole.inverse(), float)
 
     @ti.func
@@ -384,6 +392,8 @@ class StageSolver(Verdicts):
         """Potential of ball i and its springs, see `_own_springs`, with `part` of the change taken back."""
         v = self.base[i].v - part * self.dv[i]
         phi = 0.5 * self.mass(i) * (self.q[i] - v).norm_sqr()
+        if ti.static(self.rubs):
+            phi += self.mass(i) * self.held.potential(i, v)
         if ti.static(self.has_springs):
             for k in range(self.potential_start[i], self.potential_start[i + 1]):
                 spring, j = self.springs.spring[self.potential_entry[k].spring], self.potential_entry[k].other
@@ -405,7 +415,9 @@ class StageSolver(Verdicts):
         self.free.find_means(self.base, self.q)
         if ti.static(self.holds):
             for i in range(self.n):
-                self.base[i].v = self.held.choose(i, self.base[i], self.q[i], s, stage >= self.opening)
+                self.base[i].v = self.held.choose(
+                    i, self.base[i], self.dv[i], self.q[i], s, stage, stage >= self.opening
+                )
                 self.dv[i] = self.held.along(i, self.dv[i])
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
@@ -563,7 +575,7 @@ class StageSolver(Verdicts):
 
     @ti.func
     def release(self):
-        """Release balls from surfaces that would have to pull at them, of bodies that are solved but for that."""
+        """Renew what surfaces do to balls, of bodies that are solved but for that: they may only push."""
         self.bodies.each_part(self._sum_pulls, ())
         self.bodies.join((self.part.pull,))
         self.bodies.each_part(self._release_part, ())
@@ -575,11 +587,11 @@ class StageSolver(Verdicts):
     @ti.func
     def _sum_pulls(self, c):
         if self.number[self.bodies.part[c].body].phase == HELD:
-            pull = ti.cast(0.0, self.wide)
+            pull, allowed = ti.cast(0.0, self.wide), ti.cast(self.number[self.bodies.part[c].body].allowed, float)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
-                if self.held.holds(i):
-                    p = self.held.pull(i)
+                if self.held.could_hold(i):
+                    p = self.held.amiss(i, self.base[i].v, allowed)
                     pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
             self.part[c].pull = pull
 
@@ -590,8 +602,8 @@ class StageSolver(Verdicts):
             if self.bodies.total(self.part.pull, b) > self.number[b].target:
                 for k in range(self.bodies.part[c].count):
                     i = self.bodies.ball(c, k)
-                    if self.held.holds(i):
-                        self.held.release(i)
+                    if self.held.could_hold(i):
+                        self.base[i].v = self.held.renew(i, self.base[i].v)
 
     @ti.func
     def velocity(self, i):
@@ -607,7 +619,7 @@ class StageSolver(Verdicts):
         and how well it was solved. What surfaces give to balls that they hold is left to contacts."""
         for i in range(self.n):
             if ti.static(self.holds):
-                self.base[i].v = self.base[i].v + self.held.reaction[i]
+                self.base[i].v = self.held.hand_on(i, self.base[i].v, stage)
             if self.number[self.bodies.of(i)].flies == 1.0:
                 self.base[i].v = self.q[i]
                 if ti.static(self.holds):

@@ -36,7 +36,7 @@ GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solutio
 ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
 OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
-MOST_RELEASES = 8  # times in a stage that balls are released from what would have to pull at them
+MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
 # What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
@@ -67,11 +67,11 @@ NUMBERS = (
     *("excess", "gained"),  # see Verdicts.note_work
     "passes",  # over springs, in this stage
 )
-HELD_NUMBERS = ("held", "releases")  # where balls may be held: so many are; so many times some were released
+HELD_NUMBERS = ("near", "releases")  # where balls may be held: so many; how often what holds them was renewed
 TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
 # Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
-# is solved, if nothing has to pull at the balls that surfaces hold.
+# is solved, if surfaces hold those balls that they push, and with the friction that they allow.
 SOLVED, HELD, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(10)
 
 
@@ -186,13 +186,13 @@ class Verdicts:
         else:
             self.number[b].phase = SOLVED
             if ti.static(self.holds):
-                if self.number[b].held > 0.0 and self.number[b].releases < MOST_RELEASES:
+                if self.number[b].near > 0.0 and self.number[b].releases < MOST_RELEASES:
                     self.number[b].phase = HELD
 
     @ti.func
     def judge_pull(self, b, pull):
-        """The phase of body b, at balls of which surfaces would have to pull with impulses of this size [J]: where that is more
-        than the residual may be, it goes on without them."""
+        """The phase of body b, on which surfaces have impulses of this size [J] that they cannot give, or lack them: where that
+        is more than the residual may be, it goes on with others."""
         self.number[b].phase = SOLVED
         if pull > self.number[b].target:
             self.number[b].phase = WITHDRAWN

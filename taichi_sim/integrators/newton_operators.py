@@ -22,7 +22,10 @@ class Product:
     def own(self, i):
         """The mass part; a pinned ball has none, and its p is 0."""
         w = self.solver.model.inverse_mass[i]
-        return self.p[i] / ti.select(w > 0.0, w, 1.0)
+        own = self.p[i] / ti.select(w > 0.0, w, 1.0)
+        if ti.static(self.solver.rubs):
+            own *= 1.0 + self.solver.held.friction[i].drag
+        return own
 
     @ti.func
     def term(self, i, j, e, s):
@@ -42,7 +45,11 @@ class Residual:
     @ti.func
     def own(self, i):
         """m (q - v); pinned balls keep still."""
-        momentum = self.solver.mass(i) * (self.solver.q[i] - self.solver.base[i].v)
+        v = self.solver.base[i].v
+        change = self.solver.q[i] - v
+        if ti.static(self.solver.rubs):
+            change += self.solver.held.rub(i, v)
+        momentum = self.solver.mass(i) * change
         return padded_blocks.pad(momentum, self.solver.dim)
 
     @ti.func

@@ -72,20 +72,55 @@ def test_what_lands_on_stiff_springs_gains_no_energy_and_leaves_again(method, h)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "h"), [("implicit_euler", 1 / 90), ("tr_bdf2", 1 / 200)])
-def test_a_sheet_that_lands_on_a_smooth_sphere_gains_no_energy(method, h):
+@pytest.mark.parametrize(
+    ("method", "h", "friction"),
+    [("implicit_euler", 1 / 90, 0.0), ("implicit_euler", 1 / 70, 0.35), ("tr_bdf2", 1 / 200, 0.0)],
+)
+def test_a_sheet_that_lands_on_a_smooth_sphere_gains_no_energy(method, h, friction):
     scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
+    scene.add_material("skin", friction=friction)
     place = (-0.5, 0.415, -0.45)
     ts.shapes.cloth(scene, (1.0, 0.9), (15, 13), position=place, material="silk", warp_angle=20.0, radius=0.004)
-    scene.set_balls(slice(None), material="default")  # without friction
-    scene.add_collider(ts.Sphere((0.0, 0.0, 0.0), 0.4))
+    scene.set_balls(slice(None), material="skin")
+    scene.add_collider(ts.Sphere((0.0, 0.0, 0.0), 0.4, material="skin"))
+    touching = 0
     with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
         stored = [sim.energy().total]
         for _ in range(round(0.45 / h)):
             sim.step()
             stored.append(sim.energy().total)
-        assert sim.contacts().number > 10
+            touching = max(touching, sim.contacts().number)
+    assert touching > 10
     assert max(stored) < 1.001 * stored[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "h"), [("implicit_euler", 1 / 100), ("tr_bdf2", 1 / 120)])
+def test_stiff_bodies_slide_down_an_incline_iff_it_is_steeper_than_friction(method, h):
+    """Friction that followed the stage shook them: springs of h^2 k / m = 200 did not know of it."""
+    friction, steep, gentle, k = 0.4, 0.55, 0.3, 2e5
+    place = 0.09 * np.stack(np.meshgrid(*[np.arange(3.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    i, j = np.triu_indices(9, 1)
+    near = np.linalg.norm(place[i] - place[j], axis=1) < 0.13
+    found = []
+    for tangent in (steep, gentle):
+        angle = np.arctan(tangent)
+        scene = ts.Scene(dim=2, gravity=(10.0 * np.sin(angle), -10.0 * np.cos(angle)))
+        scene.add_material("brick", friction=friction)
+        scene.add_balls(place + np.array([0.0, 0.025]), mass=0.1, radius=0.025, material="brick")
+        scene.add_springs(np.stack([i, j], axis=1)[near], stiffness=k, damping=5.0)
+        scene.add_wall((0.0, 1.0), material="brick")
+        with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+            stored = [sim.energy().total]
+            for _ in range(round(1.0 / h)):
+                sim.step()
+                stored.append(sim.energy().total)
+            found.append((sim.position[:, 0] - place[:, 0]).mean())
+        assert np.diff(stored).max() < 0.05 * stored[0]
+    angle = np.arctan(steep)
+    fall = 5.0 * (1.0 + (h if method == "implicit_euler" else 0.0))  # g t (t + h) / 2
+    assert found[0] == pytest.approx(fall * (np.sin(angle) - friction * np.cos(angle)), rel=0.01)
+    assert abs(found[1]) < 0.01
 
 
 # Bodies of all kinds at any step ------------------------------------------------------------------------------------
