@@ -57,6 +57,10 @@ class HeldBalls:
             self.last_most = fields.reals(model.n * method.stages)
             if walls.moves:
                 self.carried = fields.vectors(model.n, model.dim)
+        self.bodies, self.wide = bodies, fields.wide
+        square = ti.types.matrix(self.dim, self.dim, fields.wide)
+        self.part = bodies.columns({"stops": square, "drags": square, "mass": fields.wide})
+        self.firm = (2.0**-52 if fields.wide == ti.f64 else 2.0**-23) ** -0.5
         self.joined = fields.integers((bodies.joined[bodies.body] & ~model.scene.pinned).astype(np.int32))
 
     @ti.func
@@ -215,6 +219,40 @@ class HeldBalls:
                 if self._rubs_at(i, k) and self.walls.contact[i * self.walls.count + k].role != RESTING:
                     self.walls.foresee(i, k)
         return v + self.reaction[i]
+
+    @ti.func
+    def restrict(self, free: ti.template()):
+        """Leave of the velocity free.shift that each body lacks what surfaces and friction allow all of it to have: they would stop
+        their balls alone, which would strain the body. What they stop is an error of the stage."""
+        self.bodies.each_part(self._sum_stops, ())
+        self.bodies.join((self.part.stops, self.part.drags, self.part.mass))
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            mass = self.bodies.total(self.part.mass, b)
+            if mass > 0.0 and free.mass[b] > 0.0:
+                resists = ti.Matrix.identity(self.wide, self.dim)
+                resists += self.bodies.total(self.part.drags, b) / ti.cast(free.mass[b], self.wide)
+                resists += (self.firm / mass) * self.bodies.total(self.part.stops, b)
+                free.shift[b] = ti.cast(resists.inverse(), float) @ free.shift[b]
+
+    @ti.func
+    def _sum_stops(self, c):
+        """Part c of the directions in which balls are held, of their drag, and of their masses."""
+        stops, drags = ti.Matrix.zero(self.wide, self.dim, self.dim), ti.Matrix.zero(self.wide, self.dim, self.dim)
+        mass = ti.cast(0.0, self.wide)
+        for k in range(self.bodies.part[c].count):
+            i = self.bodies.ball(c, k)
+            if self.holds(i):
+                m = 1.0 / ti.cast(self.model.inverse_mass[i], self.wide)
+                normals = ti.cast(self.normals[i], self.wide)
+                stops += m * normals
+                mass += m
+                if ti.static(self.rubs):
+                    drag = m * ti.cast(self.friction[i].drag, self.wide)
+                    drags += drag * (ti.Matrix.identity(self.wide, self.dim) - normals)
+        self.part[c].stops = stops
+        self.part[c].drags = drags
+        self.part[c].mass = mass
 
     # Friction
 

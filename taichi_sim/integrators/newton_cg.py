@@ -85,6 +85,7 @@ class StageSolver(Verdicts):
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
         self.holds = self.rubs = False
+        self.held: Any = None
         if not self.has_springs and not self.has_elements:
             return
         scene, width = model.scene, padded_blocks.width(self.dim)
@@ -624,7 +625,7 @@ class StageSolver(Verdicts):
                 self.base[i].v = self.q[i]
                 if ti.static(self.holds):
                     self.held.reaction[i] = ti.Vector.zero(float, self.dim)
-        self.free.share(self.base, self.q)
+        self.free.share(self.base, self.q, self.held)
         if ti.static(self.turns_freely):
             self.turns.correct(self.ahead, self.base, self.q)
         for i in range(self.n):
