@@ -57,6 +57,7 @@ SUMS = (
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
 HELD_SUMS = ("held", "near", "pull")  # where balls may be held: so many are; so many may be; what is wrong with it
+MOMENTA = ("borne", "lack")  # there, N s: what surfaces bear; what the rest of the residual is
 
 
 @ti.data_oriented
@@ -111,8 +112,10 @@ class StageSolver(Verdicts):
         numbers = (*NUMBERS, *(HELD_NUMBERS if self.holds else ()))
         self.number = fields.table(dict.fromkeys(numbers, self.wide), self.bodies.count)
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
-        sums = (*SUMS, *(HELD_SUMS if self.holds else ()))
-        self.part = self.bodies.columns(dict.fromkeys(sums, self.wide))
+        columns = dict.fromkeys((*SUMS, *(HELD_SUMS if self.holds else ())), self.wide)
+        if self.holds:
+            columns |= dict.fromkeys(MOMENTA, ti.types.vector(self.dim, self.wide))
+        self.part = self.bodies.columns(columns)
         self.free = FreeBodies(model, self.bodies, fields)
         self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
         if self.turns_freely:
@@ -179,6 +182,8 @@ class StageSolver(Verdicts):
         self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.holds):
+            self.bodies.join((self.part.borne, self.part.lack))
+        if ti.static(self.holds):
             self.bodies.join((self.part.held, self.part.near))
         if ti.static(self.levels.active):
             self.levels.factor(self)
@@ -208,6 +213,11 @@ class StageSolver(Verdicts):
             self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
         self.number[b].passes += 1.0
         self.note_work(b)
+        if ti.static(self.holds):
+            self.number[b].borne = self.bodies.total(self.part.borne, b).norm()
+            self.number[b].lack = 0.0
+            if self.free.mass[b] > 0.0:  # else what holds it takes the rest
+                self.number[b].lack = self.bodies.total(self.part.lack, b).norm()
 
     @ti.func
     def _measure(self, c, s):
@@ -283,6 +293,7 @@ class StageSolver(Verdicts):
     def _measure_work(self, c):
         """Part c of the work of the residual, see Verdicts."""
         given = taken = moving = ti.cast(0.0, self.wide)
+        borne, lack = ti.Vector.zero(self.wide, self.dim), ti.Vector.zero(self.wide, self.dim)
         mean = self.free.shift[self.bodies.part[c].body]
         for k in range(self.bodies.part[c].count):
             i = self.bodies.ball(c, k)
@@ -292,6 +303,11 @@ class StageSolver(Verdicts):
                 given -= ti.cast(self.sum[i].dot(u), self.wide)
                 taken += ti.cast(0.5 * change.dot(change) / w, self.wide)
                 moving += ti.cast(0.5 * u.dot(u) / w, self.wide)
+                if ti.static(self.holds):
+                    borne += ti.cast(self.held.reaction[i] / w, self.wide)
+                    lack += ti.cast(self.sum[i], self.wide)
+        if ti.static(self.holds):
+            self.part[c].borne, self.part[c].lack = borne, lack
         self.part[c].given = given
         self.part[c].taken = taken
         self.part[c].moving = moving
@@ -329,6 +345,8 @@ class StageSolver(Verdicts):
         self.bodies.each_part(self._measure_residual, ())
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
+        if ti.static(self.holds):
+            self.bodies.join((self.part.borne, self.part.lack))
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:

@@ -36,6 +36,7 @@ GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solutio
 ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
 OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
+LEFT_OUT = 0.02  # of what surfaces bear, of momentum
 MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
@@ -67,7 +68,8 @@ NUMBERS = (
     *("excess", "gained"),  # see Verdicts.note_work
     "passes",  # over springs, in this stage
 )
-HELD_NUMBERS = ("near", "releases")  # where balls may be held: so many; how often what holds them was renewed
+# where balls may be held: so many; how often what holds them was renewed; impulses that surfaces bear, and that are left out [N s]
+HELD_NUMBERS = ("near", "releases", "borne", "lack")
 TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
 # Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
@@ -269,9 +271,14 @@ class Verdicts:
         residual, moved = self.number[b].residual, self.number[b].moved
         iterations = self.number[b].iterations
         least = ti.min(residual, moved)
-        if iterations > 0.0 and self.number[b].excess > 0.0 and least <= self.number[b].target:
+        finer = ti.select(self.number[b].excess > 0.0, ti.cast(FINER_TARGET, self.wide), 1.0)
+        if ti.static(self.holds):
+            share = LEFT_OUT * self.number[b].borne / ti.max(self.number[b].lack, 1e-300)
+            if share < 1.0:
+                finer = ti.min(finer, FINER_TARGET, ti.max(share, 0.01) ** 2)
+        if iterations > 0.0 and finer < 1.0 and least <= self.number[b].target:
             finest = self.number[b].scale * self.finest**2
-            self.number[b].target = ti.max(FINER_TARGET * least, finest)
+            self.number[b].target = ti.max(finer * least, finest)
         target = self.number[b].target
         large = residual > target and moved > target and self.number[b].searches < MOST_SEARCHES
         if residual < self.number[b].noise and iterations > 1.0:
