@@ -120,7 +120,7 @@ class StageSolver(Verdicts):
         self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
         if self.turns_freely:
             self.turns = FreeTurns(model, self.bodies, self.free, fields)
-        self.levels = Levels(model, self.bodies, self.elements, fields)
+        self.levels = Levels(model, self.bodies, self.elements, self.rubs, fields)
         self.sum = fields.vectors(self.n + self.levels.count, self.dim)
         self.gas = None if gases is None else StageGas(gases, self.bodies, fields)
         self.inflated = gases is not None
@@ -327,15 +327,15 @@ class StageSolver(Verdicts):
                         product = ti.cast(block.r[a], self.wide) * ti.cast(block.r[b], self.wide)
                         along[a, b] += ti.cast(block.along, self.wide) * product
         one = ti.Matrix.identity(self.wide, self.dim)
+        inertia, drag = 1.0 / ti.cast(w, self.wide), ti.cast(0.0, self.wide)
+        if ti.static(self.rubs):
+            drag = ti.cast(self.held.friction[i].drag, self.wide)
         if ti.static(self.levels.active):
-            self.levels.note(i, along + across * one, curved)
+            self.levels.note(i, along + across * one, ti.cast(curved, self.wide), inertia, drag)
         if ti.static(self.inflated):
             g = ti.cast(self.gas.gradient(i), self.wide)
             along += g.outer_product(g)
-        inertia = 1.0 / ti.cast(w, self.wide)
-        if ti.static(self.rubs):
-            inertia *= 1.0 + ti.cast(self.held.friction[i].drag, self.wide)
-        whole = along + ti.cast(curved, self.wide) + (across + inertia) * one
+        whole = along + ti.cast(curved, self.wide) + (across + inertia + drag * inertia) * one
         return ti.cast(whole.inverse(), float)
 
     @ti.func
@@ -610,7 +610,7 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 if self.held.could_hold(i):
-                    p = self.held.amiss(i, self.base[i].v, allowed)
+                    p = self.held.amiss(i, self.base[i].v, allowed, self.inverse_block[i])
                     pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
             self.part[c].pull = pull
 
