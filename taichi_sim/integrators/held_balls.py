@@ -56,7 +56,9 @@ class HeldBalls:
             {"holds": ti.i32, "target": fields.real, "push": fields.real}, model.n * walls.count
         )
         if self.rubs:
-            self.friction = fields.table({"most": fields.real, "drag": fields.real, "next": fields.real}, model.n)
+            self.friction = fields.table(
+                {"most": fields.real, "drag": fields.real, "next": fields.real, "wrong": fields.real}, model.n
+            )
             self.last_most = fields.reals(model.n * method.stages)
             if walls.moves:
                 self.carried = fields.vectors(model.n, model.dim)
@@ -181,7 +183,9 @@ class HeldBalls:
         impulses that the residual may be, squared. inverse: of the block of ball i [1/kg]."""
         rest = self.unborne(i)
         if ti.static(self.rubs):
-            rest += (ti.sqrt(allowed) / FRICTION_TOLERANCE) * self._change_of_friction(i, v, inverse)
+            change = self._change_of_friction(i, v, inverse)
+            rest += (ti.sqrt(allowed) / FRICTION_TOLERANCE) * change
+            self.friction[i].wrong = change.norm()
         for k in range(self.walls.count):
             c = i * self.walls.count + k
             if self.contact[c].holds == 0 and self.contact[c].target > -FAR_GAP:
@@ -225,8 +229,8 @@ class HeldBalls:
 
     @ti.func
     def restrict(self, free: ti.template()):
-        """Leave of the velocity free.shift that each body lacks what surfaces and friction allow all of it to have: they would stop
-        their balls alone, which would strain the body. What they stop is an error of the stage."""
+        """Leave of the velocity free.shift that each body lacks what surfaces and friction allow all of it to have: they would
+        stop their balls alone, which would strain the body. What they stop is an error of the stage."""
         self.bodies.each_part(self._sum_stops, ())
         self.bodies.join((self.part.stops, self.part.drags, self.part.mass))
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -325,8 +329,8 @@ class HeldBalls:
 
     @ti.func
     def _note_next(self, i, v, inverse):
-        """Note the drag of ball i that its friction has where it meets the line on which the ball alone answers to it: by more slip
-        to less friction. As the slip is given, it is that of a ball that slides; as the friction is, of one that sticks."""
+        """Note the drag of ball i that its friction has where it meets the line on which the ball alone answers to it: by more
+        slip to less friction. As the slip is given, it is that of a ball that slides; as the friction is, of one that sticks."""
         most, drag, slowest = self.friction[i].most, self.friction[i].drag, self._slowest(i, v)
         stiff = ti.max(1.0, self.dim * self.model.inverse_mass[i] / inverse.trace() - drag)
         slip = self.slip(i, v).norm()

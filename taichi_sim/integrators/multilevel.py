@@ -37,8 +37,8 @@ class Levels:
     Points are the balls, then the nodes of all levels, the finest first; ends[l] is the first node of level l. Fields: `below`,
     the points that a node has a weight of, from first_below[node] to first_below[node + 1]; `above`, the nodes that have one of a
     point; `stiff`, `curved` (points): parts of blocks by strains and by curvatures [kg]; `inverse`, `answer` (nodes): D_l^-1 -
-    E_l^-1, and what that makes of a residual; `takes` (balls), where they may be `dragged`: the part of what is around a ball that
-    it shares, by which functions have it: what drag holds does not move with others.
+    E_l^-1, and what that makes of a residual; `takes` (balls), where they may be `dragged`: the part of what is around a ball
+    that it shares, by which functions have it: what drag holds does not move with others.
     """
 
     def __init__(self, model: Model, bodies: Bodies, elements: Any, dragged: bool, fields: Fields) -> None:

@@ -56,7 +56,12 @@ SUMS = (
     ),
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
-HELD_SUMS = ("held", "near", "pull")  # where balls may be held: so many are; so many may be; what is wrong with it
+HELD_SUMS = (
+    "held",
+    "near",
+    "pull",
+    "wrong",
+)  # where balls may be held: so many are; so many may be; what is wrong with it
 MOMENTA = ("borne", "lack")  # there, N s: what surfaces bear; what the rest of the residual is
 
 
@@ -596,29 +601,33 @@ class StageSolver(Verdicts):
     def release(self):
         """Renew what surfaces do to balls, of bodies that are solved but for that: they may only push."""
         self.bodies.each_part(self._sum_pulls, ())
-        self.bodies.join((self.part.pull,))
+        self.bodies.join((self.part.pull, self.part.wrong))
         self.bodies.each_part(self._release_part, ())
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == HELD:
-                self.judge_pull(b, self.bodies.total(self.part.pull, b))
+                self.judge_pull(b, self.bodies.total(self.part.pull, b), self.bodies.total(self.part.wrong, b))
 
     @ti.func
     def _sum_pulls(self, c):
         if self.number[self.bodies.part[c].body].phase == HELD:
             pull, allowed = ti.cast(0.0, self.wide), ti.cast(self.number[self.bodies.part[c].body].allowed, float)
+            wrong = 0.0 * pull
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 if self.held.could_hold(i):
                     p = self.held.amiss(i, self.base[i].v, allowed, self.inverse_block[i])
                     pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
+                    if ti.static(self.rubs):
+                        wrong += ti.cast(self.mass(i) * self.held.friction[i].wrong, self.wide)
             self.part[c].pull = pull
+            self.part[c].wrong = wrong
 
     @ti.func
     def _release_part(self, c):
         b = self.bodies.part[c].body
         if self.number[b].phase == HELD:
-            if self.bodies.total(self.part.pull, b) > self.number[b].target:
+            if self.amiss(b, self.bodies.total(self.part.pull, b), self.bodies.total(self.part.wrong, b)):
                 for k in range(self.bodies.part[c].count):
                     i = self.bodies.ball(c, k)
                     if self.held.could_hold(i):

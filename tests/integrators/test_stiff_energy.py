@@ -123,6 +123,36 @@ def test_stiff_bodies_slide_down_an_incline_iff_it_is_steeper_than_friction(meth
     assert abs(found[1]) < 0.01
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [ImplicitEuler])
+def test_friction_gives_stiff_bodies_no_energy(method):
+    """What a stage left of momentum shook stiff bodies, and friction was that of what it had left."""
+    place = 0.08 * np.stack(np.meshgrid(np.arange(4.0), np.arange(2.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    i, j = np.triu_indices(8, 1)
+    near = np.linalg.norm(place[i] - place[j], axis=1) < 0.12
+
+    def brick(stiffness, tangent, speed):
+        angle, scene = np.arctan(tangent), ts.Scene(dim=2, gravity=(0.0, -10.0))
+        scene.gravity = (10.0 * np.sin(angle), -10.0 * np.cos(angle))
+        scene.add_material("brick", friction=0.35)
+        balls = place + np.array([0.0, 0.02])
+        scene.add_balls(balls, velocity=(speed, 0.0), mass=0.15, radius=0.02, material="brick")
+        scene.add_springs(np.stack([i, j], axis=1)[near], stiffness=stiffness, damping=4.0)
+        scene.add_wall((0.0, 1.0), material="brick")
+        scene.settings["dt"] = 1 / 60
+        return scene
+
+    with simulate(brick(1e5, 0.1, 0.0), integrator=method(), substeps=1) as sim:
+        for ratio in (300.0, 1500.0, 20000.0) if F64 else (100.0, 300.0):  # h^2 k / m
+            for tangent, speed in ((0.25, 0.0), (0.0, 1.5), (0.5, 0.0)):
+                sim.reset(brick(ratio * 0.15 * 3600.0, tangent, speed))
+                stored = [sim.energy().total]
+                for _ in range(40):
+                    sim.step()
+                    stored.append(sim.energy().total)
+                assert np.diff(stored).max() < 0.01 * stored[0], (ratio, tangent, speed)
+
+
 # Bodies of all kinds at any step ------------------------------------------------------------------------------------
 
 
