@@ -37,7 +37,7 @@ ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up bef
 OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
 LEFT_OUT = 0.01  # of what surfaces bear, of momentum
-WRONG_FRICTION = 0.02  # of the same
+WRONG_FRICTION = 0.05  # of the same
 MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
