@@ -140,7 +140,10 @@ class Walls(Surfaces):
                 normals += self.normal(i, k)
                 u = self.normal(i, k).dot(self.relative(ball[i].v, i, k))
                 fast = fast or u < -FAST_APPROACH * self.threshold[0]
-                self.contact[c].role = self._role(gap, u, touch, crowded, True)
+                arrives = True
+                if ti.static(self.foresees):  # else what a stage had come here would keep what that left to the surface
+                    arrives = self.law(i, k).restitution > 0.0
+                self.contact[c].role = self._role(gap, u, touch, crowded, arrives)
                 if ti.static(self.plan.keeps_loads):
                     self._start_from_load(solver, i, c, crowded)
                 if self.is_solved(c):

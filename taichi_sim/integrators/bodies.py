@@ -194,11 +194,13 @@ class FreeBodies:
         self.part[c].momentum = total
 
     @ti.func
-    def share(self, table: ti.template(), target: ti.template()):
+    def share(self, table: ti.template(), target: ti.template(), held: ti.template()):
         """Velocities table.v of each body += what gives it the momentum that the velocities `target` (n) [m/s] have: they know
-        nothing of its springs, which give it none."""
+        nothing of its springs, which give it none. held: None, or HeldBalls, where surfaces allow only a part of that."""
         if ti.static(self.some):
             self._collect(table, target, 1.0)
+            if ti.static(bool(held)):
+                held.restrict(self)
             for i in range(self.n):
                 if self.inverse_mass[i] > 0.0:
                     table[i].v = table[i].v + self.shift[self.bodies.of(i)]

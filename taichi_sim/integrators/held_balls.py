@@ -27,7 +27,10 @@ __all__ = ["HeldBalls"]
 
 # squared sine of the angle (3 degrees) between a normal and those before it: below, it adds no direction
 LEAST_SQUARE = 0.003
-STUCK = 0.003  # of what friction can change in a stage: a ball that slides more slowly sticks
+STUCK = 3e-5  # of what friction can change in a stage: a ball that slides more slowly sticks
+SLOW = 2.0  # times that slip: friction may still be any
+SLIPS = 8  # iterations for the slip to go on with
+ROUNDING = 32.0  # of a velocity, in units of the machine's: a slower slip may be none
 FRICTION_TOLERANCE = 0.05  # of friction, in units of all impulses
 SWEEPS = 64  # over the surfaces of a ball, where it has several, for the impulses of each
 
@@ -45,7 +48,7 @@ class HeldBalls:
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
-        self.rubs = model.has_friction
+        self.rubs, self.eps = model.has_friction, 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
@@ -53,10 +56,16 @@ class HeldBalls:
             {"holds": ti.i32, "target": fields.real, "push": fields.real}, model.n * walls.count
         )
         if self.rubs:
-            self.friction = fields.table({"most": fields.real, "drag": fields.real, "next": fields.real}, model.n)
+            self.friction = fields.table(
+                {"most": fields.real, "drag": fields.real, "next": fields.real, "wrong": fields.real}, model.n
+            )
             self.last_most = fields.reals(model.n * method.stages)
             if walls.moves:
                 self.carried = fields.vectors(model.n, model.dim)
+        self.bodies, self.wide = bodies, fields.wide
+        square = ti.types.matrix(self.dim, self.dim, fields.wide)
+        self.part = bodies.columns({"stops": square, "drags": square, "mass": fields.wide})
+        self.firm = (2.0**-52 if fields.wide == ti.f64 else 2.0**-23) ** -0.5
         self.joined = fields.integers((bodies.joined[bodies.body] & ~model.scene.pinned).astype(np.int32))
 
     @ti.func
@@ -168,13 +177,15 @@ class HeldBalls:
         return rest
 
     @ti.func
-    def amiss(self, i, v, allowed):
+    def amiss(self, i, v, allowed, inverse):
         """Impulse [N s] that is wrong with the surfaces of ball i at the velocity v: with which those that hold it would have to
         pull, others to stop it, and by which friction is not what they can give. Notes their pushes. allowed: part of all
-        impulses that the residual may be, squared."""
+        impulses that the residual may be, squared. inverse: of the block of ball i [1/kg]."""
         rest = self.unborne(i)
         if ti.static(self.rubs):
-            rest += (ti.sqrt(allowed) / FRICTION_TOLERANCE) * self._change_of_friction(i, v)
+            change = self._change_of_friction(i, v, inverse)
+            rest += (ti.sqrt(allowed) / FRICTION_TOLERANCE) * change
+            self.friction[i].wrong = change.norm()
         for k in range(self.walls.count):
             c = i * self.walls.count + k
             if self.contact[c].holds == 0 and self.contact[c].target > -FAR_GAP:
@@ -208,13 +219,47 @@ class HeldBalls:
         self.reaction[i] = self.reaction[i] + self.unborne(i)
         if ti.static(self.rubs):
             self._bound_friction(i)
-            self.friction[i].drag = self._drag(i, v)
+            self.friction[i].drag = self._allowed_drag(i, v)
             self.reaction[i] = self.reaction[i] - self.rub(i, v)
             self.last_most[stage * self.model.n + i] = self.friction[i].most
             for k in range(self.walls.count):
                 if self._rubs_at(i, k) and self.walls.contact[i * self.walls.count + k].role != RESTING:
                     self.walls.foresee(i, k)
         return v + self.reaction[i]
+
+    @ti.func
+    def restrict(self, free: ti.template()):
+        """Leave of the velocity free.shift that each body lacks what surfaces and friction allow all of it to have: they would
+        stop their balls alone, which would strain the body. What they stop is an error of the stage."""
+        self.bodies.each_part(self._sum_stops, ())
+        self.bodies.join((self.part.stops, self.part.drags, self.part.mass))
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            mass = self.bodies.total(self.part.mass, b)
+            if mass > 0.0 and free.mass[b] > 0.0:
+                resists = ti.Matrix.identity(self.wide, self.dim)
+                resists += self.bodies.total(self.part.drags, b) / ti.cast(free.mass[b], self.wide)
+                resists += (self.firm / mass) * self.bodies.total(self.part.stops, b)
+                free.shift[b] = ti.cast(resists.inverse(), float) @ free.shift[b]
+
+    @ti.func
+    def _sum_stops(self, c):
+        """Part c of the directions in which balls are held, of their drag, and of their masses."""
+        stops, drags = ti.Matrix.zero(self.wide, self.dim, self.dim), ti.Matrix.zero(self.wide, self.dim, self.dim)
+        mass = ti.cast(0.0, self.wide)
+        for k in range(self.bodies.part[c].count):
+            i = self.bodies.ball(c, k)
+            if self.holds(i):
+                m = 1.0 / ti.cast(self.model.inverse_mass[i], self.wide)
+                normals = ti.cast(self.normals[i], self.wide)
+                stops += m * normals
+                mass += m
+                if ti.static(self.rubs):
+                    drag = m * ti.cast(self.friction[i].drag, self.wide)
+                    drags += drag * (ti.Matrix.identity(self.wide, self.dim) - normals)
+        self.part[c].stops = stops
+        self.part[c].drags = drags
+        self.part[c].mass = mass
 
     # Friction
 
@@ -246,8 +291,14 @@ class HeldBalls:
     def _drag(self, i, v):
         """Drag of ball i with which its friction is the most that it can be at the velocity v, and less if it sticks."""
         most = self.friction[i].most
-        speed = ti.sqrt(self.slip(i, v).norm_sqr() + (STUCK * most) ** 2)
+        speed = ti.sqrt(self.slip(i, v).norm_sqr() + self._slowest(i, v) ** 2)
         return ti.select(most > 0.0, most / ti.select(most > 0.0, speed, 1.0), 0.0)
+
+    @ti.func
+    def _slowest(self, i, v):
+        """Slip [m/s] below which ball i, at the velocity v, sticks."""
+        rounded = (ROUNDING * self.eps) ** 2 * v.norm_sqr()
+        return ti.sqrt((STUCK * self.friction[i].most) ** 2 + rounded)
 
     @ti.func
     def rub(self, i, v):
@@ -260,11 +311,37 @@ class HeldBalls:
         return 0.5 * self.friction[i].drag * self.slip(i, v).norm_sqr()
 
     @ti.func
-    def _change_of_friction(self, i, v):
-        """Change of the velocity v of ball i by which its friction is not what its pushes allow; notes the drag that they do."""
+    def _change_of_friction(self, i, v, inverse):
+        """Change of the velocity v of ball i by which its friction is not what its pushes allow; notes the drag to go on with.
+        inverse: of its block of the matrix [1/kg]."""
         self._bound_friction(i)
-        self.friction[i].next = self._drag(i, v)
-        return (self.friction[i].drag - self.friction[i].next) * self.slip(i, v)
+        self._note_next(i, v, inverse)
+        return (self.friction[i].drag - self._allowed_drag(i, v)) * self.slip(i, v)
+
+    @ti.func
+    def _allowed_drag(self, i, v):
+        """The drag of ball i at the velocity v, bounded by what its friction may be: of one that sticks, any up to the most."""
+        most, slip, drag = self.friction[i].most, self.slip(i, v).norm(), self.friction[i].drag
+        if slip > 0.0:
+            stuck = ti.min(1.0, SLOW * self._slowest(i, v) / slip)
+            drag = ti.max(ti.min(drag, most / slip), (1.0 - stuck * stuck) * most / slip)
+        return drag
+
+    @ti.func
+    def _note_next(self, i, v, inverse):
+        """Note the drag of ball i that its friction has where it meets the line on which the ball alone answers to it: by more
+        slip to less friction. As the slip is given, it is that of a ball that slides; as the friction is, of one that sticks."""
+        most, drag, slowest = self.friction[i].most, self.friction[i].drag, self._slowest(i, v)
+        stiff = ti.max(1.0, self.dim * self.model.inverse_mass[i] / inverse.trace() - drag)
+        slip = self.slip(i, v).norm()
+        whole, found = slip + drag / stiff * slip, 0.0 * slip
+        if most > 0.0:
+            for _ in range(SLIPS):  # Newton's method from below, where it converges from one side
+                speed = ti.sqrt(found * found + slowest * slowest)
+                over = found + most / stiff * found / speed - whole
+                found -= over / (1.0 + most / stiff * slowest * slowest / speed**3)
+            drag = most / ti.sqrt(found * found + slowest * slowest)
+        self.friction[i].next = ti.select(most > 0.0, drag, 0.0)
 
     @ti.func
     def _bound_friction(self, i):

@@ -37,11 +37,13 @@ class Levels:
     Points are the balls, then the nodes of all levels, the finest first; ends[l] is the first node of level l. Fields: `below`,
     the points that a node has a weight of, from first_below[node] to first_below[node + 1]; `above`, the nodes that have one of a
     point; `stiff`, `curved` (points): parts of blocks by strains and by curvatures [kg]; `inverse`, `answer` (nodes): D_l^-1 -
-    E_l^-1, and what that makes of a residual.
+    E_l^-1, and what that makes of a residual; `takes` (balls), where they may be `dragged`: the part of what is around a ball
+    that it shares, by which functions have it: what drag holds does not move with others.
     """
 
-    def __init__(self, model: Model, bodies: Bodies, elements: Any, fields: Fields) -> None:
+    def __init__(self, model: Model, bodies: Bodies, elements: Any, dragged: bool, fields: Fields) -> None:
         scene, self.n, self.dim, self.wide = model.scene, model.n, model.dim, fields.wide
+        self.dragged = dragged
         balls = np.bincount(bodies.body[~scene.pinned], minlength=bodies.count)
         large = bodies.joined & (balls >= FEWEST_BALLS)
         taken = np.flatnonzero(~scene.pinned & large[bodies.body])
@@ -64,6 +66,8 @@ class Levels:
         if self.has_curvature:
             self.curved_share = fields.reals(shares[2])
             self.curved = fields.matrices(self.n + self.count, self.dim)
+        if dragged:
+            self.takes = fields.reals(self.n)
         self.inverse = fields.matrices(self.count, self.dim)
         self.answer = fields.vectors(self.count, self.dim)
         self.rounding = NEGATIVE_ROUNDING * (2.0**-52 if fields.real == ti.f64 else 2.0**-23)
@@ -97,11 +101,16 @@ class Levels:
             visit(c, *arguments)
 
     @ti.func
-    def note(self, i, stiff, curved):
-        """Note what ball i's block has by strains and by curvatures."""
-        self.stiff[i] = ti.cast(stiff, float)
+    def note(self, i, stiff, curved, inertia, drag):
+        """Note what ball i's block has by strains and by curvatures, of its inertia [kg], and of drag, in units of that."""
+        takes = 1.0
+        if ti.static(self.dragged):
+            around = (stiff + curved).trace() / self.dim + inertia
+            takes = ti.cast(around / (around + drag * inertia), float)
+            self.takes[i] = takes
+        self.stiff[i] = takes * takes * ti.cast(stiff, float)
         if ti.static(self.has_curvature):
-            self.curved[i] = ti.cast(curved, float)
+            self.curved[i] = takes * takes * ti.cast(curved, float)
 
     @ti.func
     def factor(self, solver: ti.template()):
@@ -145,7 +154,11 @@ class Levels:
     def _restrict(self, c, residual: ti.template()):
         total = ti.Vector.zero(float, self.dim)
         for e in range(self.first_below[c], self.first_below[c + 1]):
-            total += self.below[e].weight * residual[self.below[e].point]
+            point, weight = self.below[e].point, self.below[e].weight
+            if ti.static(self.dragged):
+                if point < self.n:
+                    weight *= self.takes[point]
+            total += weight * residual[point]
         residual[self.n + c] = total
         self.answer[c] = self.inverse[c] @ total
 
@@ -159,6 +172,9 @@ class Levels:
         v = ti.Vector.zero(float, self.dim)
         for e in range(self.first_above[k], self.first_above[k + 1]):
             v += self.above[e].weight * self.answer[self.above[e].node]
+        if ti.static(self.dragged):
+            if k < self.n:
+                v *= self.takes[k]
         return v
 
 

@@ -56,7 +56,13 @@ SUMS = (
     ),
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
-HELD_SUMS = ("held", "near", "pull")  # where balls may be held: so many are; so many may be; what is wrong with it
+HELD_SUMS = (
+    "held",
+    "near",
+    "pull",
+    "wrong",
+)  # where balls may be held: so many are; so many may be; what is wrong with it
+MOMENTA = ("borne", "lack")  # there, N s: what surfaces bear; what the rest of the residual is
 
 
 @ti.data_oriented
@@ -85,6 +91,7 @@ class StageSolver(Verdicts):
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
         self.holds = self.rubs = False
+        self.held: Any = None
         if not self.has_springs and not self.has_elements:
             return
         scene, width = model.scene, padded_blocks.width(self.dim)
@@ -110,13 +117,15 @@ class StageSolver(Verdicts):
         numbers = (*NUMBERS, *(HELD_NUMBERS if self.holds else ()))
         self.number = fields.table(dict.fromkeys(numbers, self.wide), self.bodies.count)
         self.stage = fields.table({"passes": ti.i32, "missed": ti.i32, "worst": fields.real}, 1)
-        sums = (*SUMS, *(HELD_SUMS if self.holds else ()))
-        self.part = self.bodies.columns(dict.fromkeys(sums, self.wide))
+        columns = dict.fromkeys((*SUMS, *(HELD_SUMS if self.holds else ())), self.wide)
+        if self.holds:
+            columns |= dict.fromkeys(MOMENTA, ti.types.vector(self.dim, self.wide))
+        self.part = self.bodies.columns(columns)
         self.free = FreeBodies(model, self.bodies, fields)
         self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
         if self.turns_freely:
             self.turns = FreeTurns(model, self.bodies, self.free, fields)
-        self.levels = Levels(model, self.bodies, self.elements, fields)
+        self.levels = Levels(model, self.bodies, self.elements, self.rubs, fields)
         self.sum = fields.vectors(self.n + self.levels.count, self.dim)
         self.gas = None if gases is None else StageGas(gases, self.bodies, fields)
         self.inflated = gases is not None
@@ -178,6 +187,8 @@ class StageSolver(Verdicts):
         self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.holds):
+            self.bodies.join((self.part.borne, self.part.lack))
+        if ti.static(self.holds):
             self.bodies.join((self.part.held, self.part.near))
         if ti.static(self.levels.active):
             self.levels.factor(self)
@@ -207,6 +218,11 @@ class StageSolver(Verdicts):
             self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
         self.number[b].passes += 1.0
         self.note_work(b)
+        if ti.static(self.holds):
+            self.number[b].borne = self.bodies.total(self.part.borne, b).norm()
+            self.number[b].lack = 0.0
+            if self.free.mass[b] > 0.0:  # else what holds it takes the rest
+                self.number[b].lack = self.bodies.total(self.part.lack, b).norm()
 
     @ti.func
     def _measure(self, c, s):
@@ -282,6 +298,7 @@ class StageSolver(Verdicts):
     def _measure_work(self, c):
         """Part c of the work of the residual, see Verdicts."""
         given = taken = moving = ti.cast(0.0, self.wide)
+        borne, lack = ti.Vector.zero(self.wide, self.dim), ti.Vector.zero(self.wide, self.dim)
         mean = self.free.shift[self.bodies.part[c].body]
         for k in range(self.bodies.part[c].count):
             i = self.bodies.ball(c, k)
@@ -291,6 +308,11 @@ class StageSolver(Verdicts):
                 given -= ti.cast(self.sum[i].dot(u), self.wide)
                 taken += ti.cast(0.5 * change.dot(change) / w, self.wide)
                 moving += ti.cast(0.5 * u.dot(u) / w, self.wide)
+                if ti.static(self.holds):
+                    borne += ti.cast(self.held.reaction[i] / w, self.wide)
+                    lack += ti.cast(self.sum[i], self.wide)
+        if ti.static(self.holds):
+            self.part[c].borne, self.part[c].lack = borne, lack
         self.part[c].given = given
         self.part[c].taken = taken
         self.part[c].moving = moving
@@ -310,15 +332,15 @@ class StageSolver(Verdicts):
                         product = ti.cast(block.r[a], self.wide) * ti.cast(block.r[b], self.wide)
                         along[a, b] += ti.cast(block.along, self.wide) * product
         one = ti.Matrix.identity(self.wide, self.dim)
+        inertia, drag = 1.0 / ti.cast(w, self.wide), ti.cast(0.0, self.wide)
+        if ti.static(self.rubs):
+            drag = ti.cast(self.held.friction[i].drag, self.wide)
         if ti.static(self.levels.active):
-            self.levels.note(i, along + across * one, curved)
+            self.levels.note(i, along + across * one, ti.cast(curved, self.wide), inertia, drag)
         if ti.static(self.inflated):
             g = ti.cast(self.gas.gradient(i), self.wide)
             along += g.outer_product(g)
-        inertia = 1.0 / ti.cast(w, self.wide)
-        if ti.static(self.rubs):
-            inertia *= 1.0 + ti.cast(self.held.friction[i].drag, self.wide)
-        whole = along + ti.cast(curved, self.wide) + (across + inertia) * one
+        whole = along + ti.cast(curved, self.wide) + (across + inertia + drag * inertia) * one
         return ti.cast(whole.inverse(), float)
 
     @ti.func
@@ -328,6 +350,8 @@ class StageSolver(Verdicts):
         self.bodies.each_part(self._measure_residual, ())
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
+        if ti.static(self.holds):
+            self.bodies.join((self.part.borne, self.part.lack))
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:
@@ -577,29 +601,33 @@ class StageSolver(Verdicts):
     def release(self):
         """Renew what surfaces do to balls, of bodies that are solved but for that: they may only push."""
         self.bodies.each_part(self._sum_pulls, ())
-        self.bodies.join((self.part.pull,))
+        self.bodies.join((self.part.pull, self.part.wrong))
         self.bodies.each_part(self._release_part, ())
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == HELD:
-                self.judge_pull(b, self.bodies.total(self.part.pull, b))
+                self.judge_pull(b, self.bodies.total(self.part.pull, b), self.bodies.total(self.part.wrong, b))
 
     @ti.func
     def _sum_pulls(self, c):
         if self.number[self.bodies.part[c].body].phase == HELD:
             pull, allowed = ti.cast(0.0, self.wide), ti.cast(self.number[self.bodies.part[c].body].allowed, float)
+            wrong = 0.0 * pull
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 if self.held.could_hold(i):
-                    p = self.held.amiss(i, self.base[i].v, allowed)
+                    p = self.held.amiss(i, self.base[i].v, allowed, self.inverse_block[i])
                     pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
+                    if ti.static(self.rubs):
+                        wrong += ti.cast(self.mass(i) * self.held.friction[i].wrong, self.wide)
             self.part[c].pull = pull
+            self.part[c].wrong = wrong
 
     @ti.func
     def _release_part(self, c):
         b = self.bodies.part[c].body
         if self.number[b].phase == HELD:
-            if self.bodies.total(self.part.pull, b) > self.number[b].target:
+            if self.amiss(b, self.bodies.total(self.part.pull, b), self.bodies.total(self.part.wrong, b)):
                 for k in range(self.bodies.part[c].count):
                     i = self.bodies.ball(c, k)
                     if self.held.could_hold(i):
@@ -624,7 +652,7 @@ class StageSolver(Verdicts):
                 self.base[i].v = self.q[i]
                 if ti.static(self.holds):
                     self.held.reaction[i] = ti.Vector.zero(float, self.dim)
-        self.free.share(self.base, self.q)
+        self.free.share(self.base, self.q, self.held)
         if ti.static(self.turns_freely):
             self.turns.correct(self.ahead, self.base, self.q)
         for i in range(self.n):

@@ -36,6 +36,8 @@ GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solutio
 ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
 OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
 FINER_TARGET = 0.3  # of a squared residual that still gave too much
+LEFT_OUT = 0.01  # of what surfaces bear, of momentum
+WRONG_FRICTION = 0.05  # of the same
 MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
@@ -67,7 +69,9 @@ NUMBERS = (
     *("excess", "gained"),  # see Verdicts.note_work
     "passes",  # over springs, in this stage
 )
-HELD_NUMBERS = ("near", "releases")  # where balls may be held: so many; how often what holds them was renewed
+# where balls may be held: so many; how often what holds them was renewed; impulses that surfaces bear, and that are left out
+# [N s]
+HELD_NUMBERS = ("near", "releases", "borne", "lack")
 TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
 # Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
@@ -190,11 +194,16 @@ class Verdicts:
                     self.number[b].phase = HELD
 
     @ti.func
-    def judge_pull(self, b, pull):
-        """The phase of body b, on which surfaces have impulses of this size [J] that they cannot give, or lack them: where that
-        is more than the residual may be, it goes on with others."""
+    def amiss(self, b, pull, wrong):
+        """True if surfaces have impulses of this size [J] on body b that they cannot give, or lack them, more than the residual
+        may be, or friction that they cannot give [N s], of a part of what they bear."""
+        return pull > self.number[b].target or wrong > WRONG_FRICTION * self.number[b].borne
+
+    @ti.func
+    def judge_pull(self, b, pull, wrong):
+        """The phase of body b: where impulses of surfaces are `amiss`, it goes on with others."""
         self.number[b].phase = SOLVED
-        if pull > self.number[b].target:
+        if self.amiss(b, pull, wrong):
             self.number[b].phase = WITHDRAWN
             self.number[b].moved = 1e300
             self.number[b].releases += 1.0
@@ -269,9 +278,14 @@ class Verdicts:
         residual, moved = self.number[b].residual, self.number[b].moved
         iterations = self.number[b].iterations
         least = ti.min(residual, moved)
-        if iterations > 0.0 and self.number[b].excess > 0.0 and least <= self.number[b].target:
+        finer = ti.select(self.number[b].excess > 0.0, ti.cast(FINER_TARGET, self.wide), 1.0)
+        if ti.static(self.holds):
+            share = LEFT_OUT * self.number[b].borne / ti.max(self.number[b].lack, 1e-300)
+            if share < 1.0:
+                finer = ti.min(finer, FINER_TARGET, ti.max(share, 0.01) ** 2)
+        if iterations > 0.0 and finer < 1.0 and least <= self.number[b].target:
             finest = self.number[b].scale * self.finest**2
-            self.number[b].target = ti.max(FINER_TARGET * least, finest)
+            self.number[b].target = ti.max(finer * least, finest)
         target = self.number[b].target
         large = residual > target and moved > target and self.number[b].searches < MOST_SEARCHES
         if residual < self.number[b].noise and iterations > 1.0:

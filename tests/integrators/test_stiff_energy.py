@@ -123,6 +123,36 @@ def test_stiff_bodies_slide_down_an_incline_iff_it_is_steeper_than_friction(meth
     assert abs(found[1]) < 0.01
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [ImplicitEuler])
+def test_friction_gives_stiff_bodies_no_energy(method):
+    """What a stage left of momentum shook stiff bodies, and friction was that of what it had left."""
+    place = 0.08 * np.stack(np.meshgrid(np.arange(4.0), np.arange(2.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    i, j = np.triu_indices(8, 1)
+    near = np.linalg.norm(place[i] - place[j], axis=1) < 0.12
+
+    def brick(stiffness, tangent, speed):
+        angle, scene = np.arctan(tangent), ts.Scene(dim=2, gravity=(0.0, -10.0))
+        scene.gravity = (10.0 * np.sin(angle), -10.0 * np.cos(angle))
+        scene.add_material("brick", friction=0.35)
+        balls = place + np.array([0.0, 0.02])
+        scene.add_balls(balls, velocity=(speed, 0.0), mass=0.15, radius=0.02, material="brick")
+        scene.add_springs(np.stack([i, j], axis=1)[near], stiffness=stiffness, damping=4.0)
+        scene.add_wall((0.0, 1.0), material="brick")
+        scene.settings["dt"] = 1 / 60
+        return scene
+
+    with simulate(brick(1e5, 0.1, 0.0), integrator=method(), substeps=1) as sim:
+        for ratio in (300.0, 1500.0, 20000.0) if F64 else (100.0, 300.0):  # h^2 k / m
+            for tangent, speed in ((0.25, 0.0), (0.0, 1.5), (0.5, 0.0)):
+                sim.reset(brick(ratio * 0.15 * 3600.0, tangent, speed))
+                stored = [sim.energy().total]
+                for _ in range(40):
+                    sim.step()
+                    stored.append(sim.energy().total)
+                assert np.diff(stored).max() < 0.01 * stored[0], (ratio, tangent, speed)
+
+
 # Bodies of all kinds at any step ------------------------------------------------------------------------------------
 
 
@@ -167,14 +197,12 @@ def crumpled(law, scene):
     scene.set_balls(balls, position=x + 0.02 * np.random.default_rng(1).normal(size=x.shape))
 
 
-STEEL = {"warp": 2.2e8, "weft": 2.2e8, "coupling": 6.6e7, "shear": 7.7e7}  # N/m, of a millimetre
 BODIES = {
     "bricks": partial(bar, "bricks", 0.0, *lattice((8, 2, 2))),
     "solids": partial(bar, "solids", 1e3, *mesh((8, 2, 2), 0.2)),
     "cells": block,
     "silk": partial(waving, {"material": "silk", "shear": 17.0}),
     "denim": partial(waving, {"material": "denim", "shear": 53.0}),
-    "steel": partial(waving, {"material": "silk", "mass_per_area": 7.8, **STEEL}),
     "bends": bent,
     "crumpled steel": partial(crumpled, {"warp": 1e6, "shear": 4e5, "coupling": 3e5}),
     "crumpled silk": partial(crumpled, {"warp": 100.0, "weft": 60.0, "shear": 2.0}),
@@ -211,8 +239,6 @@ def test_no_step_is_limited_by_stiffness(method):
                     turning[body].append(diagnostics.angular_momentum(alone[body], x[at], v[at]))
                 sim.step(1)
             for body, found in energy.items():
-                if body == "steel" and h > 1 / 200:
-                    continue  # buckles within a step
                 before = found[:-1] if method is ImplicitEuler else found[:1] * 20
                 assert (np.subtract(found[1:], before) < (1e-6 if F64 else 1e-3) * found[0]).all(), (body, h)
             for body in TURNING if method is TRBDF2 and h < 1 / 200 else ():
