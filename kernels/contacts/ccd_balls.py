@@ -71,11 +71,12 @@ def begin_path(solver: ti.template(), i):
 
 @ti.func
 def find_time_of_impact(i, solver: ti.template(), ball: ti.template()):
-    """Find where the path of ball i stops at another ball, which stops there, too, if ball i is fast."""
+    """Find where the path of ball i stops at another ball, which stops there, too, if ball i is fast and does not just wait."""
     if is_fast(solver, i):
         t, other = first_touch(solver, solver.pairs.grid, ball, i)
         ti.atomic_min(solver.next_time_of_impact[i], t)
-        if t < 1.0 and solver.model.inverse_mass[other] > 0.0:
+        waits = bent_paths.is_unknown(solver, i, t)
+        if t < 1.0 and solver.model.inverse_mass[other] > 0.0 and not waits:
             ti.atomic_min(solver.next_time_of_impact[other], t)
 
 

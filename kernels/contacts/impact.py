@@ -194,14 +194,23 @@ def may_meet_surfaces(walls: ti.template(), i, x, start, v, a, other, since, t, 
     """True if ball i, which meets a wall or the collider `other` after t of the `remaining` seconds of a step that began `since`
     seconds ago at x, has some way to go before that, and may come to triangles that collide before that or after. It has moved by
     `start` so far. It comes off with the speed it has at most, and with twice that of a collider."""
-    far, own = 0.0 * t, 0.0 * t
+    own = 0.0 * t
     if ti.static(walls.has_colliders):
         if other >= 0:
             k = other // walls.colliders.faces
-            far = walls.colliders.distance_from_origin(k)
             own = 2.0 * surface_velocity(walls.colliders, k, x + start + t * (v + 0.5 * t * a), since + t).norm()
     way = start.norm() + surface_ways.length(v.norm() + own, a.norm(), remaining)
-    return t * v.norm() > 2.0 * walls.tolerance(x, i, far) and surface_ways.may_meet(walls, i, x, way)
+    return not is_at_surface(walls, i, x, t * v, other) and surface_ways.may_meet(walls, i, x, way)
+
+
+@ti.func
+def is_at_surface(walls: ti.template(), i, x, shift, other):
+    """True if ball i at x is at the wall or the collider `other` that it meets after `shift` [m], but for rounding."""
+    far = 0.0 * x[0]
+    if ti.static(walls.has_colliders):
+        if other >= 0:
+            far = walls.colliders.distance_from_origin(other // walls.colliders.faces)
+    return shift.norm() <= 2.0 * walls.tolerance(x, i, far)
 
 
 @ti.func
@@ -236,6 +245,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
         fast = shift.dot(shift) > walls.model.radius[i] ** 2
     rested, last = NOTHING, 0.0 * v  # the wall on which it came to rest just now; the normal of such a surface
     beyond, number = 0.0 * h, 0  # m, length of the path beyond the first bend; bends
+    begun = v  # the drift velocity with which the path begins, after what it bounces off where it starts
     spin = zero_scalar_in_2d(walls.model.dim)
     if ti.static(walls.plan.bends):
         if ti.static(walls.model.spins):
@@ -264,12 +274,15 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
             elif meets:
                 since = h - remaining + t
                 shift = start + t * (speed + 0.5 * t * pull)
+                at_once = False
                 if ti.static(walls.plan.bends):
-                    beyond += ti.select(touched, (shift - start).norm(), 0.0 * h)
-                    number += 1
-                    if fast and number == 1:
-                        walls.path[i].rest = ti.max((remaining - t) / h, bent_paths.LEAST_REST)
-                        walls.path[i].way = shift
+                    at_once = number == 0 and is_at_surface(walls, i, x, shift, other)
+                    if not at_once:
+                        beyond += ti.select(number > 0, (shift - start).norm(), 0.0 * h)
+                        number += 1
+                        if fast and number == 1:
+                            walls.path[i].rest = ti.max((remaining - t) / h, bent_paths.LEAST_REST)
+                            walls.path[i].way = shift
                 came, load = speed + t * pull, pull
                 speed = came
                 remaining -= t
@@ -309,10 +322,17 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 if ti.static(walls.probed):
                     change = speed - came + remaining * (pull - load)
                     walls.received.add(i, body, change / walls.model.inverse_mass[i])
+                if ti.static(walls.plan.bends):
+                    if at_once:
+                        begun = speed + remaining * pull - 0.5 * h * pressed
+                        if ti.static(walls.model.spins):
+                            spin = walls.state.spin[i]
+                        if ti.static(walls.probed):
+                            walls.received.note(i)
                 touched = True
             elif touched:
                 shift += remaining * (speed + 0.5 * remaining * pull)
-                beyond += (shift - start).norm()
+                beyond += ti.select(number > 0, (shift - start).norm(), 0.0 * h)
                 speed += remaining * pull
                 remaining = 0.0
             else:
@@ -330,7 +350,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
         if ti.static(walls.plan.bends):
             if fast:
                 walls.path[i].length = ti.select(number > 1, beyond, 0.0 * h)
-                walls.path[i].change = drift - v
+                walls.path[i].change = drift - begun
                 if ti.static(walls.model.spins):
                     walls.path[i].spin_change = walls.state.spin[i] - spin
     return shift, drift

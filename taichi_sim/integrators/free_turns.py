@@ -15,7 +15,8 @@ class FreeTurns:
     """Turns the velocities v of each free body as a whole, so that what its stage left unsolved gives it no angular momentum.
 
     Springs and elements give none at the places x where they act: sum x * m (v - q) = 0 of a solution. What that sum is of a
-    solution that is not exact, the rotation w with I w = -sum x * m (v - q) takes away; it deforms nothing.
+    solution that is not exact, the rotation w with I w = -sum x * m (v - q) takes away. It turns these places by the angle s w,
+    on circles, and so deforms nothing: on tangents, w * x, it gave a cube of steel half its energy in a step.
 
     Fields: `step` [s] of the stage; `turn` [1/s] and `centre` [m] of each body, from its first ball; in 2D with a third axis."""
 
@@ -57,7 +58,14 @@ class FreeTurns:
                 b = self.bodies.of(i)
                 if self.inverse_mass[i] > 0.0 and self.mass[b] > 0.0:
                     arm = ti.cast(self._arm(i, b, ahead), float) - self.centre[b]
-                    table[i].v = table[i].v + self._short(self.turn[b].cross(arm))
+                    table[i].v = table[i].v + self._short(self._along_circle(self.turn[b], arm))
+
+    @ti.func
+    def _along_circle(self, turn, arm):
+        """Mean velocity over the step with which the end of an arm turns about its start, by Cayley's rotation."""
+        half = 0.5 * self.step[0] * turn
+        tangent = turn.cross(arm)
+        return (tangent + half.cross(tangent)) / (1.0 + half.dot(half))
 
     @ti.func
     def _short(self, vector):

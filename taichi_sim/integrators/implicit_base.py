@@ -15,6 +15,7 @@ __all__ = ["FRESH", "KNOWN", "STRUCK", "Implicit"]
 
 # what is known of the forces at the start of a step: nothing; what the last stage came to; that, but for bodies that bounced
 FRESH, KNOWN, STRUCK = 1, 0, 2
+LARGEST_TOLERANCE = 0.05  # a stage that leaves ten times as much is missed: at 0.1 that would be all there is
 
 
 @ti.data_oriented
@@ -41,8 +42,11 @@ class Implicit(Integrator):
     def __init__(self, tolerance: float | None = None) -> None:
         if tolerance is not None:
             self.tolerance = tolerance
-        if not 0.0 < self.tolerance < 1.0:
-            raise ValueError(f"tolerance: {tolerance!r} is not allowed; it must be between 0 and 1")
+        if not 0.0 < self.tolerance <= LARGEST_TOLERANCE:
+            says = (
+                f"it must be above 0 and at most {LARGEST_TOLERANCE}, or stages that were not solved could not be told"
+            )
+            raise ValueError(f"tolerance: {tolerance!r} is not allowed; {says}")
 
     def allocate(self, fields: Fields) -> None:
         """The solver and its fields."""

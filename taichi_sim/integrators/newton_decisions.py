@@ -25,6 +25,7 @@ __all__ = [
 ]
 
 MOST_ITERATIONS = 100  # of Newton's method
+PATIENT_ITERATIONS = 20  # after which none may raise the potential
 MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
 DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
@@ -330,8 +331,11 @@ class Verdicts:
     def larger(self, b):
         """1 if the change may have gone too far, so that half of it is worth a try, else 0: it raised the residual. It did
         where it raised the potential too. One of them alone may rise: the potential by damping, whose direction rotates, the
-        residual where a stiff body rotates."""
-        larger = self.number[b].residual > self.number[b].residual_before
+        residual where a stiff body rotates. Such changes may follow each other without end, so late ones may not raise the
+        potential."""
+        larger = (
+            self.number[b].residual > self.number[b].residual_before or self.number[b].iterations > PATIENT_ITERATIONS
+        )
         return ti.cast(larger and self.number[b].tries < MOST_TRIES, ti.i32)
 
     @ti.func

@@ -229,6 +229,38 @@ def test_a_bullet_between_walls_loses_no_time(dim, contacts, method):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("contacts", RULES[:2])
+@pytest.mark.long_where(contacts="jacobi")
+def test_bullets_in_a_slit_go_on(contacts):
+    """Bullets that bounce off both walls several times a step, near others: they waited at a wall, or beside a ball that did, for
+    ever, while gravity made them faster."""
+    r, gap, rng = 0.04, 3.3 * 0.04, np.random.default_rng(8)
+    along, across = np.array([0.8, -0.6]), np.array([0.6, 0.8])
+    for restitution in (1.0, 0.6):
+        scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
+        scene.add_material("m", restitution=restitution)
+        scene.add_wall(across, 0.0, "m")
+        scene.add_wall(-across, -gap, "m")
+        scene.add_balls(np.outer(2.6 * r * np.arange(4.0), along) + 0.5 * gap * across, radius=r, material="m")
+        start = scene.position
+        with simulate(scene, dt=H, substeps=1, contacts=contacts) as sim:
+            for _ in range(8):
+                aside = rng.uniform(1.05 * r, gap - 1.05 * r, 4) - 0.5 * gap
+                v = np.outer(rng.uniform(-1, 1, 4), along) + np.outer(rng.choice([-1, 1], 4), across)
+                sim.set_position(start + np.outer(aside, across))
+                sim.set_velocity(v * rng.uniform(70, 500, (4, 1)))
+                energy, stood = sim.energy().total, np.zeros(4, dtype=bool)
+                for _ in range(60):
+                    before = sim.position
+                    sim.step()
+                    fast = np.linalg.norm(sim.velocity, axis=1) > 10.0
+                    stands = fast & (np.linalg.norm(sim.position - before, axis=1) < 1e-4 * r)
+                    assert not np.any(stood & stands)
+                    stood = stands
+                    assert sim.energy().total < 1.001 * energy
+
+
+@pytest.mark.slow
 def test_only_bullets_near_surfaces_wait_at_walls():
     """One far from all triangles loses no time where it turns; one whose way leads to a triangle turns there."""
     gap, behind = 0.7 * SLOT, 20.0

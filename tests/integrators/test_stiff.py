@@ -347,9 +347,13 @@ def test_tr_bdf2_takes_forces_of_ones_own_to_second_order():
         assert e[0] < 1e-5
 
 
-def test_a_tolerance_out_of_range_is_refused():
-    with pytest.raises(ValueError, match="tolerance: 0 is not allowed; it must be between 0 and 1"):
-        ImplicitEuler(tolerance=0)
+@pytest.mark.parametrize("method", [ImplicitEuler, TRBDF2, XPBD])
+@pytest.mark.parametrize("tolerance", [0, 0.6, 0.0501, float("nan")])
+def test_a_tolerance_out_of_range_is_refused(method, tolerance):
+    """At 0.6 nothing that a stage leaves is ten times as much, so that no miss would be counted."""
+    says = f"tolerance: {tolerance} is not allowed; it must be above 0 and at most 0.05"
+    with pytest.raises(ValueError, match=says):
+        method(tolerance=tolerance)
 
 
 @pytest.mark.slow_where(method="tr_bdf2")

@@ -245,3 +245,33 @@ def test_no_step_is_limited_by_stiffness(method):
                 start = turning[body][0]
                 assert np.abs(np.subtract(turning[body], start)).max() < 1e-4 * np.linalg.norm(start), (body, h)
             assert sim.solver().misses == 0 or h > 1 / 20 or not F64, h  # rounding is in the way
+
+
+@pytest.mark.slow
+def test_the_turn_that_keeps_angular_momentum_strains_no_stiff_body():
+    """It was given along tangents: a body that turns by a tenth in a step grew by that squared, against its stiffness."""
+    points, corners = lattice((3, 3, 4))
+    arm = 0.1 * (points - points.mean(axis=0))
+    wave = 0.4 * np.sin(7.0 * arm[:, :1]) * np.array([0.3, 1.0, 0.1])
+    velocity = np.cross([0.8, 0.2, 1.5], arm) + wave
+    scenes = {"block": ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0)), "plate": ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))}
+    both = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+    for scene in (scenes["block"], both):
+        balls = scene.add_balls(arm, radius=0.01, mass=6.0, velocity=velocity)
+        scene.add_bricks(balls[corners], young_modulus=1.5e11, poisson_ratio=0.25)
+    stiff = {"warp": 1e8, "weft": 1.5e8, "coupling": 3e7, "shear": 5e7}
+    for scene in (scenes["plate"], both):
+        waving({"material": "silk", "mass_per_area": 5.0, **stiff}, scene)
+    at = {"block": slice(0, len(points)), "plate": slice(len(points), None)}
+    with simulate(both, integrator=ImplicitEuler(), dt=0.1, contacts="off") as sim:
+        for h in (1 / 10, 1 / 18):
+            both.settings["dt"] = h
+            sim.reset(both)
+            energy = {body: [] for body in at}
+            for _ in range(9):
+                for body, balls in at.items():
+                    found = diagnostics.energy(scenes[body], sim.position[balls], sim.velocity[balls])
+                    energy[body].append(found.total)
+                sim.step(1)
+            for body, found in energy.items():
+                assert np.diff(found).max() < (1e-3 if body == "block" else 0.05) * found[0], (body, h)
