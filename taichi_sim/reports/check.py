@@ -141,7 +141,12 @@ def lines(sim: Simulation) -> Iterator[str]:
 
 def _other_by_auto(sim: Simulation) -> Iterator[str]:
     """Line on the method that "auto" would take in place of the one used, with its estimate; none where it is the same."""
-    if sim.settings.chosen or sim.undeclared_forces or any(sim.force_rates) or sim.settings.tolerance is not None:
+    if (
+        sim.settings.chosen
+        or sim.undeclared_forces
+        or any(map(any, sim.force_rates))
+        or sim.settings.tolerance is not None
+    ):
         return
     auto = Settings.resolve(sim.scene, {"integrator": "auto", "dt": sim.settings.dt, "contacts": sim.settings.contacts})
     if auto.integrator.method is not sim.settings.integrator.method:
