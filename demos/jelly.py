@@ -11,6 +11,7 @@ def scene(mass=MASS, stiffness=1800.0, damping=0.15, loose=LOOSE):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 4.5, "size": (1280, 720), "subdivide": 1, "stage": "paper"}
     scene.output["looks"] = [{"of": "jelly_0", "gloss": 0.6, "translucency": 0.4}]
+    scene.output["camera"] = {"target": (0.1, 0.45, 0.0), "distance": 6.4, "azimuth": 30.0, "elevation": 18.0}
     scene.settings = {"dt": 1 / 1200}  # at 1 ms a loose ball that the cube pinches sinks in by half its radius
     scene.add_material("jelly", restitution=0.2, friction=0.3)
     scene.add_material("rubber", restitution=0.6, friction=0.02)

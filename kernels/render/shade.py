@@ -75,7 +75,8 @@ def woven(place, width, colour, weft):
     if warp == 0:
         across, along_it, thread = y, x, weft
     bright = (1 - ti.f32(1.6) * across * across) * (ti.f32(0.7) + ti.f32(0.3) * ti.cos(ti.f32(3.1415927) * along_it))
-    sharp = ti.min(ti.max(2 - ti.f32(2.5) * ti.max(width[0], width[1]), ti.f32(0.0)), ti.f32(1.0))
+    part = ti.min(ti.max(ti.f32(1.3125) - ti.f32(1.25) * ti.max(width[0], width[1]), ti.f32(0.0)), ti.f32(1.0))
+    sharp = part * part * (3 - 2 * part)  # from 0.25 to 1.05 threads in a width
     mean = (colour + weft) * ti.f32(0.5)
     slope = ti.Vector([x, y]) * sharp
     return mean + (thread * (bright / ti.f32(WOVEN_MEAN)) - mean) * sharp, slope

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import Method
+from taichi_sim.geometry.graph import components
 from taichi_sim.scene.bending import BENDING
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.part import Quadratic
@@ -26,15 +27,18 @@ SLOW = 3.0  # times the slowest frequency, up to which motions count as slow
 STILL = 1e-6  # of the fastest mode's omega: motion that nothing resists
 CARRIED = 0.05  # part of the load that may be carried by nothing near a place of rest
 SMALL = 0.1  # strain up to which springs stretch in proportion to their load
+ONE_MOTION = 0.5  # sum of squares over orthonormal modes, above which one of them at least is there
 BLUR = 8.0  # times the rounding of places: what that may make of a stretch
 
 
 class Decay(NamedTuple):
-    """`frequency` [Hz] of a mode without damping; rates [1/s] at which it decays, as the scene says and with the step."""
+    """`frequency` [Hz] of a mode without damping; rates [1/s] at which it decays, as the scene says and with the step. hangs: the
+    scene also has motions that no spring resists and gravity does, such as the swing of a net, which are slower."""
 
     frequency: float
     exact: float
     found: float
+    hangs: bool = False
 
 
 def not_worked_out(scene: Scene) -> str:
@@ -60,6 +64,7 @@ def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> lis
     loaded = tense + _loaded(scene, free, position, tense, omega2, shape)
     if np.any(loaded != tense):
         omega2, shape = _modes(scene, free, along, loaded)
+    hangs = _hangs(scene, free, shape[:, omega2 <= STILL**2 * omega2[-1]])
     slow = np.flatnonzero(omega2 > STILL**2 * omega2[-1])
     slow = slow[omega2[slow] <= SLOW**2 * omega2[slow[:1]]]
     dampings = (scene.damping, method.spring_damping(scene, h))
@@ -77,8 +82,18 @@ def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> lis
         values = np.linalg.eigvals(step).astype(complex)
         rates = np.log(np.where(values == 0, 1e-300, values)) / h
         near = rates[np.argmin(np.abs(rates.real - exact.real) + np.abs(np.abs(rates.imag) - abs(exact.imag)))]
-        decays.append(Decay(omega / (2.0 * np.pi), -float(exact.real), -float(near.real)))
+        decays.append(Decay(omega / (2.0 * np.pi), -float(exact.real), -float(near.real), hangs))
     return decays
+
+
+def _hangs(scene: Scene, free: NDArray[np.int64], still: Floats) -> bool:
+    """True if motions (free coordinates, k) that nothing resists move a body which is held somewhere, under gravity. A free body
+    has such motions, too: it falls and turns."""
+    if not np.any(scene.gravity):
+        return False
+    body = components(scene.n_balls, scene.pairs)
+    held = np.repeat(np.isin(body[free], body[scene.pinned]), scene.dim)
+    return bool(np.sum(still[held] ** 2) > ONE_MOTION)
 
 
 def _modes(scene: Scene, free: NDArray[np.int64], along: Floats, tense: Floats) -> tuple[Floats, Floats]:

@@ -31,13 +31,13 @@ RENAMED = {
     "add_skin": "add_embedded_surface",
     "angular_velocity": "rotation_rate",
 }
-MEANT = {  # words of other programs
-    **dict.fromkeys(("framerate", "frame_rate", "frames_per_second", "rate"), "fps"),
-    **dict.fromkeys(("resolution", "shape", "width", "height"), "size"),
-    **dict.fromkeys(("length", "seconds", "time", "t_end", "end_time"), "duration"),
-    **dict.fromkeys(("timestep", "time_step", "step", "h", "delta_t"), "dt"),
-    **dict.fromkeys(("method", "solver", "scheme"), "integrator"),
-    **dict.fromkeys(("filename", "file", "output"), "path"),
+MEANT = {  # words of other programs, and what they may be called here
+    **dict.fromkeys(("framerate", "frame_rate", "frames_per_second", "rate"), ("fps",)),
+    **dict.fromkeys(("resolution", "shape", "width", "height"), ("meshes", "size")),
+    **dict.fromkeys(("length", "seconds", "time", "t_end", "end_time"), ("duration",)),
+    **dict.fromkeys(("timestep", "time_step", "step", "h", "delta_t"), ("dt",)),
+    **dict.fromkeys(("method", "solver", "scheme"), ("integrator",)),
+    **dict.fromkeys(("filename", "file", "output"), ("path",)),
 }
 IN_UNITS = {"angular_velocity": ", in degrees per second"}  # of what was renamed, where these are others
 
@@ -150,8 +150,8 @@ def unknown_key(path: str | Sequence[str | int], known: Collection[str], what: s
     key = str(path_of(path)[-1])
     if RENAMED.get(key) in known:
         return SceneError(path, says=f"is now called {RENAMED[key]!r}{IN_UNITS.get(key, '')}")
-    meant = MEANT.get(key.lower(), key)
-    return SceneError(path, says=f"is not {what}; {did_you_mean(meant if meant in known else key, known)}")
+    meant = next((word for word in MEANT.get(key.lower(), ()) if word in known), key)
+    return SceneError(path, says=f"is not {what}; {did_you_mean(meant, known)}")
 
 
 def did_you_mean(word: str, known: Collection[str], otherwise: str = "") -> str:

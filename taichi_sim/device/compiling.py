@@ -61,6 +61,11 @@ def loaded() -> bool:
     return _in_compiler < LOADED_PART * _spent
 
 
+def word(from_cache: bool | None = None) -> str:
+    """Name of the time spent on kernels: from a cache, or by the compiler; None: as it was so far."""
+    return "loading kernels" if (loaded() if from_cache is None else from_cache) else "compiling"
+
+
 @functools.cache
 def count_time() -> None:
     """Count from now on."""

@@ -303,7 +303,12 @@ _file: dict[str, Any] = {
     "file": (str | None, _key(None, "an .npz that holds the longer of these arrays, each under its key")),
     "prefix": (str, _key("", "what its name in the file begins with")),
 }
-_name: dict[str, Any] = {"name": (str | None, _key(None, "what other tables, and files for other programs, call it"))}
+_name: dict[str, Any] = {
+    "name": (
+        str | None,
+        _key(None, "what other tables, and files for other programs, call it; in Python `scene.set_name`"),
+    )
+}
 _group: dict[str, Any] = {
     "balls": (
         str | None,

@@ -1,7 +1,7 @@
 """Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; of methods of
 order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan, sqrt
@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.between_samples import beyond
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
-from taichi_sim.common.quantities import counted, measured, plain_number
+from taichi_sim.common.quantities import measured, plain_number
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
 
 __all__ = ["Companion", "StepError"]
@@ -31,7 +32,8 @@ LAST = 8  # part of the frames by which the error of the last is judged
 class StepError(NamedTuple):
     """Estimated errors of step and rounding, nan where the runs show no order. step [s]: of the second run; rms, largest [m]: of
     the free balls' positions at the end; energy [J]: of the total energy at the end; probes: of each number's last, least and
-    largest value; why: words where the second run failed and nothing is known; runs: how many there were."""
+    largest value, of the latter two also that they may lie between frames; why: words where the second run failed and nothing
+    is known; runs: how many there were."""
 
     step: float
     rms: float = float("nan")
@@ -127,19 +129,18 @@ class Companion:
             hidden=hidden if any(np.isnan(off[1:]).all() for off in probes.values()) else "",
         )
 
-    def between_frames(self, error: StepError, units: Mapping[str, str]) -> Iterator[str]:
-        """Words on extremes that lie between frames, where no run reads the probes; with names where neighbours of a frame with
-        an extreme differ from it by more than the error stated for the least or largest value."""
-        values = _by_name([probes for _, probes in self._readings])
-        moving = {name: run for name, run in values.items() if _summed_up(run)[1] < _summed_up(run)[2]}
-        if not moving:
-            return
-        steep = {name: _beside_extremes(run) for name, run in moving.items()}
-        wide = [name for name in steep if steep[name] > max(error.probes.get(name, (np.inf,))[1:], default=np.inf)]
-        changes = [f"{name} changes by {measured(steep[name], unit=units.get(name, ''))}" for name in wide[:NAMED]]
-        more = f", and {counted(len(wide) - NAMED, 'more does', 'more do')} so" if len(wide) > NAMED else ""
-        detail = f" ({', '.join(changes)} from one frame to the next{more}: raise --fps)" if wide else ""
-        yield f"extremes between frames{detail}"
+    def between_frames(self, error: StepError, units: Mapping[str, str]) -> str:
+        """Words on the quantities whose extremes may lie between frames, where that is most of their uncertainty; empty where it
+        is of none."""
+        wide = []
+        for name, run in _by_name([probes for _, probes in self._readings]).items():
+            missed = _missed(run)
+            if any(2.0 * one > other for one, other in zip(missed, error.probes.get(name, (nan,) * 3)[1:])):
+                wide.append(f"{name} by {measured(max(missed), unit=units.get(name, ''))}")
+        if not wide:
+            return ""
+        more = f" and {len(wide) - NAMED} more" if len(wide) > NAMED else ""
+        return f"extremes between frames may go beyond those read ({', '.join(wide[:NAMED])}{more}): raise --fps"
 
     def _repeat(self, again: Any, free: NDArray, advance: Callable[[int, float], None]) -> _Run:
         """Run to the end of the first run, and read at its frames."""
@@ -180,10 +181,11 @@ def _by_name(readings: list[dict[str, float]]) -> dict[str, list[float]]:
     return {name: [probes[name] for probes in readings] for name in names}
 
 
-def _beside_extremes(run: list[float]) -> float:
-    """Largest difference between the least or largest value and those beside it; 0 where both stand at an end."""
-    inside = [at for at in (int(np.nanargmin(run)), int(np.nanargmax(run))) if 0 < at < len(run) - 1]
-    return max((float(np.nanmax(np.abs(np.diff(run[at - 1 : at + 2])))) for at in inside), default=0.0)
+def _missed(run: list[float]) -> tuple[float, float]:
+    """Bounds of how far a number goes below its least and beyond its largest reading between frames."""
+    if np.isnan(run).all():
+        return 0.0, 0.0
+    return beyond(run, int(np.nanargmin(run))), beyond(run, int(np.nanargmax(run)))
 
 
 def _rms(values: NDArray) -> float:
@@ -266,7 +268,8 @@ def _off(
         at = [int(extreme(run)) for run in runs]
         ends.append([max(abs(x[i] - y[i]) for i in at) for x, y in pairwise(runs)])
     last, least, most = (judge.error(one) + digit * abs(value) for one, value in zip(ends, values[0]))
-    return last, least, most
+    low, high = _missed(runs[0])
+    return last, least + low, most + high
 
 
 def _summed_up(values: list[float]) -> tuple[float, float, float]:

@@ -149,11 +149,12 @@ def export(
         observer.conclude(frame)
         if companion is not None:
             summary.step_error = companion.compare(
-                simulation, bar.advance, lambda what: bar.phase(lambda _: "compiling", what)
+                simulation, bar.advance, lambda what: bar.phase(lambda _: compiling.word(), what)
             )
             at_touch = simulation.setup.at_touch
             others = left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
-            summary.left_out = [*others, *companion.between_frames(summary.step_error, summary.units)]
+            summary.left_out = list(others)
+            summary.between = companion.between_frames(summary.step_error, summary.units)
         clock.charge("simulating")
     clock.charge("writing")
     return summary

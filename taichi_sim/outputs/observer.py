@@ -57,6 +57,7 @@ class Observer:
 
     def _count_inverted(self, now: int) -> None:
         self.summary.inverted = now, max(self.summary.inverted[1], now)
+        self.summary.cells = self.simulation.scene.n_volumes()
 
     def conclude(self, last: Frame | None) -> None:
         """Note the end of the simulation. last: the frame there."""

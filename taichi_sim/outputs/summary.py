@@ -22,6 +22,7 @@ from taichi_sim.analysis.outcome import (
     untouched,
 )
 from taichi_sim.common.quantities import ROUNDED, counted, measures, plain_number
+from taichi_sim.device import compiling
 from taichi_sim.outputs.companion import StepError
 
 __all__ = ["Summary"]
@@ -63,12 +64,14 @@ class Summary:
     units: dict[str, str] = field(default_factory=dict)  # of probes
     torn: tuple[int, int] | None = None  # springs at the end, and those that may tear; None where none may
     inverted: tuple[int, int] = (0, 0)  # cells at the end, and the most at a frame
+    cells: int = 0  # how many there are
     beyond: list[str] = field(default_factory=list)  # meshes that are drawn farther out than what moves them
     crossings: int | None = 0  # edges in triangles at the end, where those let things through; None: not counted
     error: Any = None  # see Simulation.error, at the end
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
     left_out: list[str] = field(default_factory=list)  # other errors, which that does not tell
+    between: str = ""  # that extremes between frames make most of an uncertainty, where they do
     rotation: str = ""  # angular momentum that the method took, where that shows
     contact_load: str = ""  # that elements at contacts bear too much, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions
@@ -147,7 +150,8 @@ class Summary:
                 lines.append(f"impacts      {late_impacts.sentence(self.late[0])}; {wanted}")
         if self.inverted[1]:
             lines.append(
-                f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} at most: {of_cells(*self.inverted)}"
+                f"cells        {self.inverted[0]} inverted at the end, {self.inverted[1]} of {self.cells} at most:"
+                f" {of_cells(*self.inverted, self.cells)}"
             )
         lines += [f"mesh         {said}" for said in self.beyond]
         if self.crossings is None:
@@ -174,13 +178,13 @@ class Summary:
         if self.solver is not None:
             s = self.solver
             lines.append(
-                f"solver       {s.stages} stages in {s.passes} passes over the springs; {s.worst:.2g} left at most,"
+                f"solver       {s.stages} stages in {s.passes} passes over the forces; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
         simulated = self.duration * self.steady / max(1, self.frames - 1)
         rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
         per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""
-        kernels = "loading kernels" if self.loaded else "compiling"
+        kernels = compiling.word(self.loaded)
         parts = (
             f"{kernels} {self.compiling:.2f}, starting {self.starting:.2f}, simulation {self.simulating:.2f},"
             f" pictures {self.drawing:.2f}, writing {self.writing:.2f}"
@@ -215,7 +219,8 @@ class Summary:
             if all(one.endswith(ROUNDED) for one in words):
                 words, source = measures(values, (None,) * 3, unit), f" ({ROUNDED})"
             last, least, most = (one.replace(f", {ROUNDED}", f" ({ROUNDED})") for one in words)
-            each = f"{last} in the last frame; least {least}, peak {most} of all frames"
+            seen = "of all frames" if not off or source.endswith(f"({ROUNDED})") else "at and between frames"
+            each = f"{last} in the last frame; least {least}, peak {most} {seen}"
             yield f"{name:{width}} {f'{last} in all frames' if last == least == most else each}{source}"
         if found is None:
             if self.probes and self.error is None:
@@ -234,6 +239,8 @@ class Summary:
             rms, largest = measures([found.rms, found.largest], [None, None], "m")
             known = f": positions at the end +- {rms} rms, +- {largest} at most"
         yield f"{'uncertainty':12} of {self._source()}, from {by}{known}"
+        if self.between:
+            yield f"{'':12} {self.between}"
         if found.unseen:
             yield (
                 f"{'':12} not known of {', '.join(found.unseen)}: the runs do not come nearer to each other as the step falls;"

@@ -20,7 +20,7 @@ from taichi_sim.analysis.methods import (
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, stability, without
 from taichi_sim.scene.scene import Scene
-from taichi_sim.simulation.settings import SAFETY, part_of_bound
+from taichi_sim.simulation.settings import SAFETY, Settings, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
 
 EXPLICIT = (VERLET, SYMPLECTIC_EULER, RK4, EXPLICIT_EULER)
@@ -49,6 +49,10 @@ def damping(scene: Scene, method: Method, h: float, position: NDArray[np.float64
         return
     worst = max(decays, key=lambda mode: abs(mode.found - mode.exact) / _allowed(mode))
     free = ", as if nothing held what touches walls or colliders" * _rests(scene, position)
+    if decays[0].hangs:
+        yield f"damping               the slowest motion that springs resist{free}, {_decay(decays[0])}"
+        yield f"{'':22}slower ones, such as a swing, are resisted by gravity alone, and are not worked out"
+        return
     yield f"damping               the slowest motion{free}, {_decay(decays[0])}"
     if abs(worst.found - worst.exact) <= _allowed(worst):
         return
@@ -127,11 +131,26 @@ def lines(sim: Simulation) -> Iterator[str]:
     else:
         springs = f": springs are damped, and {XPBD} makes them too soft" if scene.n_springs else ""
         yield f"{stiff}: any step is stable, but the error grows with it{springs}"
+    yield from _other_by_auto(sim)
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
         yield f"The step that {names} needs is unknown; declare stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
+
+
+def _other_by_auto(sim: Simulation) -> Iterator[str]:
+    """Line on the method that "auto" would take in place of the one used, with its estimate; none where it is the same."""
+    if (
+        sim.settings.chosen
+        or sim.undeclared_forces
+        or any(map(any, sim.force_rates))
+        or sim.settings.tolerance is not None
+    ):
+        return
+    auto = Settings.resolve(sim.scene, {"integrator": "auto", "dt": sim.settings.dt, "contacts": sim.settings.contacts})
+    if auto.integrator.method is not sim.settings.integrator.method:
+        yield f'integrator = "auto" would take {auto.integrator.method}: {auto.chosen.partition(" by auto: ")[2]}'
 
 
 def _limited(scene: Scene, custom: Declared) -> Iterator[str]:

@@ -149,7 +149,11 @@ class Simulation(Reader):
 
     def _warn(self, h: float, stacklevel: int) -> None:
         safe = self._stability.dt_any_shape
-        if h > safe * (1.0 + 1e-9):
+        if safe == 0.0:
+            warnings.warn(
+                f"no step is safe here, dt = {h:.6g} s included: {self._stability.reason}", stacklevel=stacklevel
+            )
+        elif h > safe * (1.0 + 1e-9):
             warnings.warn(
                 f"dt = {h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
                 f" {self._stability.reason}",
@@ -334,7 +338,8 @@ class Simulation(Reader):
         return None if self._still else self.parts.torn
 
     def inverted(self) -> int:
-        """Number of cells, bricks and solids that are flat or turned inside out, and not torn. Every jelly has some."""
+        """Number of cells, bricks and solids that are flat or turned inside out, and not torn: 0 of a jelly that is
+        not crushed."""
         torn = self.torn
         return diagnostics.inverted(self.scene, self.position, None if torn is None else self.scene.pairs[torn])
 

@@ -9,7 +9,7 @@ from physics_support import PRECISION, simulate
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy, contact_loads
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET, XPBD
-from taichi_sim.analysis.outcome import Scales, of_approach, of_depth, of_energy, untouched
+from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy, untouched
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 
@@ -426,6 +426,15 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
     assert " m: wrong; where something that moves squeezes them, stop it sooner; else take shorter steps" in text
     assert "lost" not in text  # a piston works
     assert "at t = 0.9 s ball" in deep[0]
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("now", "most", "cells", "verdict"),
+    [(0, 0, 90, "good"), (0, 4, 90, "good"), (0, 9, 90, "look at it"), (1, 1, 900, "wrong"), (0, 1, 0, "look at it")],
+)
+def test_few_cells_that_turn_back_are_no_alarm(now, most, cells, verdict):
+    assert of_cells(now, most, cells).split(";")[0] == verdict
 
 
 def test_verdicts_go_with_the_scene():

@@ -125,6 +125,19 @@ def test_check_names_the_slowest_first():
     assert named[1] == pytest.approx(slow[-1], rel=5e-3)
 
 
+@pytest.mark.parametrize("gravity", [0.0, 6.0])
+@pytest.mark.parametrize("pinned", ["corners", False])
+def test_swings_that_no_spring_resists_are_slower_than_what_is_named(gravity, pinned):
+    """A flat net that hangs, whose sag no spring resists; a free one falls and turns, whose slowest motion is meant."""
+    scene = ts.Scene(dim=3, gravity=(0, -gravity, 0))
+    ts.shapes.net(scene, size=(0.8, 0.7), meshes=(3, 4), stiffness=5e4, pinned=pinned)
+    lines = list(check.damping(scene, IMPLICIT_EULER, 0.004, scene.position))
+    hangs = bool(gravity and pinned)
+    assert ("the slowest motion that springs resist, " in lines[0]) is hangs
+    assert any("slower ones, such as a swing, " in line for line in lines) is hangs
+    assert any("take tr_bdf2, or steps of" in line for line in lines) is not hangs
+
+
 @pytest.mark.parametrize("ground", ["wall", "collider"])
 @pytest.mark.parametrize("gap", [0.0, 0.1])
 def test_what_stands_on_something_is_said_to_be_as_if_free(ground, gap):

@@ -137,6 +137,16 @@ def test_check_names_what_limits_and_what_to_do():
         assert "gains energy on an undamped spring" in "\n".join(check.lines(sim))
 
 
+@pytest.mark.once
+def test_check_names_the_method_that_auto_would_take():
+    scene = ts.Scene(dim=3, gravity=(0, -9.0, 0))
+    ts.shapes.net(scene, size=(0.9, 0.8), meshes=(11, 12), stiffness=6e5, pinned="corners")
+    named = 'integrator = "auto" would take implicit_euler: implicit_euler by steps of 0.0083 s takes an estimated 0.'
+    for more, there in (({}, True), ({"integrator": "implicit_euler"}, False), ({"integrator": "auto"}, False)):
+        with simulate(scene, contacts="off", **more) as sim:
+            assert any(line.startswith(named) for line in check.lines(sim)) is there
+
+
 def test_check_of_scenes_without_springs_or_motion():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     b = scene.add_balls([[0, 0], [1, 0]], radius=0.1)

@@ -51,3 +51,8 @@ def test_a_scene_file_adds_where(tmp_path):
 )
 def test_unknown_keys(key, says):
     assert str(unknown_key(key, ["embedded_surfaces", "walls"])) == f"{key}: {says}"
+
+
+@pytest.mark.parametrize(("known", "meant"), [(("size", "meshes"), "meshes"), (("size", "radius"), "size")])
+def test_words_of_other_programs_mean_what_there_is(known, meant):
+    assert str(unknown_key("resolution", known)).endswith(f"did you mean '{meant}'?")

@@ -95,6 +95,23 @@ def test_energy_from_nowhere_is_warned_of_once():
             assert part in said[0]
 
 
+@pytest.mark.once
+def test_explicit_euler_says_what_it_adds():
+    """A thrown ball gains m g^2 h^2 / 2 a step."""
+    scene, g, h = ts.Scene(dim=2, gravity=(0, -9.0)), 9.0, 0.15
+    scene.add_balls([0, 0], velocity=(2, 8), radius=0.1, mass=3.0)
+    with ts.Simulation(scene, integrator="explicit_euler", dt=h) as sim:
+        before = sim.energy().total
+        with pytest.warns(
+            UserWarning, match="energy grew .*, as explicit_euler adds m a.2 dt.2 / 2 to a ball of accelerat"
+        ):
+            [sim.step() for _ in range(12)]
+        assert sim.energy().total - before == pytest.approx(12 * 3.0 * (g * h) ** 2 / 2.0, rel=1e-5)
+    scene.add_springs([scene.add_balls([[3, 0], [4, 0]], radius=0.1)], stiffness=5.0)
+    with pytest.warns(UserWarning, match="^no step is safe here, dt = 0.15 s included: spring 0 .* is undamped"):
+        ts.Simulation(scene, integrator="explicit_euler", dt=h).close()
+
+
 def test_a_shape_that_stiffens_is_warned_of(monkeypatch):
     """The step is below the bound of the first shape, above that for every shape, and the ball then swings aside."""
     scene = net()

@@ -40,6 +40,7 @@ class Budget:
     why: str = ""  # the mesh's error is not known
     meshed: bool = True  # springs or cells, whose mesh may be finer
     precision: str = "f32"
+    missed: float = 0.0  # by which a peak between the moments compared may be larger
 
     def lines(self) -> Iterator[str]:
         """Line of words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
@@ -60,6 +61,8 @@ class Budget:
         if exact := [name for _, name in known[len(told) :]]:
             words.append(f"{' and '.join(exact)} {ROUNDED}")
         words += [f"{name} not known" for name, value in parts.items() if value is None]
+        if self.missed > EXACT * self.value:
+            words.append(f"+- {measures([self.value, self.missed], [None, None], self.unit)[1]} (between these times)")
         own = "the scene's own settings" + " in double precision" * double
         yield (
             f"{self.name[:1].upper()}{self.name[1:]}, with {self.method} at {self.step_length:.3g} s, {own}:"
@@ -106,6 +109,7 @@ def made(
         single=rounded,
         meshed=meshed,
         precision=precision,
+        missed=0.0 if compared.quantity is None else reference.missed,
     )
 
 

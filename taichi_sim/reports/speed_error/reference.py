@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.between_samples import beyond
 from taichi_sim.analysis.methods import RK4
 from taichi_sim.reports.speed_error.compared import rms
 from taichi_sim.reports.speed_error.plan import FRAME, PARTS, WORK, Step, fitting, halved, limit, own_step
@@ -68,6 +69,12 @@ class Reference:
     def motion(self) -> float:
         """Size that errors are relative to, the largest before the horizon."""
         return float(self.displacement[: self.parts].max(initial=0.0))
+
+    @property
+    def missed(self) -> float:
+        """Bound of how far that goes beyond the largest value at the moments compared."""
+        seen = self.displacement[: self.parts]
+        return beyond(seen, int(np.argmax(seen))) if len(seen) else 0.0
 
     @property
     def growth(self) -> float:

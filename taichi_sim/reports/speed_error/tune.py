@@ -101,7 +101,10 @@ def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, t
     if off <= EXACT * reference.motion:
         found = "0, exact to rounding"
     yield f"{'found':12} {found}, the largest of {reference.parts} sample times"
-    yield f"{'':12} not seen: peaks and errors between these times"
+    if reference.missed > off:
+        peak = measured(reference.motion, reference.missed, unit, "between these times")
+        yield f"{'peak':12} {peak}; `taichi-sim run --error` reads it at every frame"
+    yield f"{'':12} not seen: errors between these times"
     yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
 
