@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from taichi_sim.analysis import rebounds, turning
+from taichi_sim.analysis import rebounds, strikes, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
@@ -52,6 +52,9 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     yield from _of_tearing(scene, method, h)
     if setup.rule != "off":
         yield from _of_bounces(scene, method, h)
+        why, cure = strikes.unanswered(scene, method, h)
+        if why:
+            yield f"impacts: {why}; {cure}"
     if (turn := turning.at_start(scene, method, h)) is not None:
         if turn.rate(method, h) > MOST_TURNED:
             yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
