@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
+from taichi_sim.common.quantities import at_most
 from taichi_sim.geometry.graph import components
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.elements import ELEMENTS
@@ -75,5 +76,5 @@ def unanswered(scene: Scene, method: Method, h: float) -> tuple[str, str]:
     return (
         f"{method} solves springs and elements before it knows of contacts between balls, so impacts of balls on them may give"
         f" energy in steps of {h:.3g} s",
-        f"take steps of {step:.2g} s, or {VERLET}",
+        f"take steps of {at_most(step)} s, or {VERLET}",
     )
