@@ -24,6 +24,7 @@ __all__ = [
     "dip",
     "findings",
     "holes",
+    "impact_step",
     "layers",
     "rounding_error",
     "sieves",
@@ -142,19 +143,30 @@ def _bounces(scene: Scene, h: float, in_time: bool) -> Iterator[Finding]:
 
 
 def _impacts(scene: Scene, h: float) -> Iterator[Finding]:
-    """Balls are found to touch up to h late. By then the line between them has turned by u sin(a) t / d, with t = h / 2 and
-    sin(a) = 1/2 (3D: 2/3) on average, and the direction in which they part by twice as much."""
-    loose = scene.loose()
-    if np.count_nonzero(loose) < 1 or scene.n_balls < 2:
-        return
-    speed = _fastest(scene)
-    turn = {2: 0.5, 3: 2.0 / 3.0}[scene.dim] * speed * h / (2.0 * float(np.median(scene.radius[loose])))
+    turn = _turned(scene) * h
     if turn > 0.0:
         yield Finding(
             "impacts",
-            f"of balls are noticed up to {h:.2g} s late: at {speed:.3g} m/s (start and fall) they part off by {turn:.2g} rad",
-            f"take substeps of {0.5 * SMALL_ANGLE / turn * h:.2g} s, or a tolerance" if turn > SMALL_ANGLE else "",
+            f"of balls are noticed up to {h:.2g} s late: at {_fastest(scene):.3g} m/s (start and fall) they part off by"
+            f" {turn:.2g} rad",
+            f"take substeps of {impact_step(scene):.2g} s, or a tolerance" if turn > SMALL_ANGLE else "",
         )
+
+
+def impact_step(scene: Scene) -> float:
+    """The step [s] that is advised for impacts of loose balls; infinite where there are none."""
+    rate = _turned(scene)
+    return 0.5 * SMALL_ANGLE / rate if rate > 0.0 else np.inf
+
+
+def _turned(scene: Scene) -> float:
+    """Angle by which balls part off, over the step h [1/s]. They are found to touch up to h late. By then the line between
+    them has turned by u sin(a) t / d, with t = h / 2 and sin(a) = 1/2 (3D: 2/3) on average, and the direction in which they
+    part by twice as much."""
+    loose = scene.loose()
+    if np.count_nonzero(loose) < 1 or scene.n_balls < 2:
+        return 0.0
+    return {2: 0.5, 3: 2.0 / 3.0}[scene.dim] * _fastest(scene) / (2.0 * float(np.median(scene.radius[loose])))
 
 
 def _fastest(scene: Scene) -> float:

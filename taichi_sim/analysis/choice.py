@@ -7,6 +7,7 @@ import numpy as np
 from taichi_sim.analysis.element_rates import Declared
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.stability import stability
+from taichi_sim.analysis.strikes import strike_step
 from taichi_sim.analysis.touching import may_touch
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
@@ -47,11 +48,13 @@ BALL, SEARCHING_BALL = _Work(3e-9, 14e-9, 0.0), 33e-9  # the second for each ste
 
 
 class Demand(NamedTuple):
-    """Wishes for a simulation. step [s]: given, or None; contact_step [s]: the longest that contacts bear; contacts: whether any
-    are looked for; by_error: whether the error chooses the step; part: of Verlet's bound that its steps have."""
+    """Wishes for a simulation. step [s]: given, or None; contact_step [s]: the longest that contacts bear; advised [s]: the
+    longest that `check` advises for impacts; contacts: whether any are looked for; by_error: whether the error chooses the
+    step; part: of Verlet's bound that its steps have."""
 
     step: float | None
     contact_step: float
+    advised: float
     contacts: bool
     by_error: bool
     part: float
@@ -93,13 +96,18 @@ def _cheaper(scene: Scene, longest: float, demand: Demand, custom: Declared) -> 
     explicit = (VERLET.passes(scene, h) * work.force + meeting) / h
     if explicit < CHEAP:
         return Choice(VERLET, None, "its own short steps are too little work to save any of it")
-    step = min(FRAME_STEP, demand.contact_step, 0.9 * stability(scene, method, None, custom).dt_any_shape)
+    strikes = strike_step(scene, method) if demand.contacts else np.inf
+    longest_step = 0.9 * stability(scene, method, None, custom).dt_any_shape
+    step = min(FRAME_STEP, demand.contact_step, demand.advised, strikes, longest_step)
     touching = demand.contacts and may_touch(scene)
     folding = touching and (len(scene.bends) > 0 or len(scene.membranes) > 0)
     passes = FEWEST_PASSES + (FOLDING if folding else PASSES_PER_RADIAN) * min(2.0 * step / longest, RIGID)
     stages = SECOND_ORDER if demand.by_error else 1.0
     implicit = (stages * (work.begin + passes * work.product) + meeting) / step
-    costs = f"{method} by steps of {step:.2g} s takes an estimated {implicit / explicit:.2g} of the work of {VERLET}"
+    why = ", the longest that answer impacts of balls on springs and elements," if step == strikes else ""
+    costs = (
+        f"{method} by steps of {step:.2g} s{why} takes an estimated {implicit / explicit:.2g} of the work of {VERLET}"
+    )
     if explicit < (WORTH_TOUCHING if touching else WORTH) * implicit:
         unsure = ", too little a gain where contacts may cost more" if explicit >= WORTH * implicit else ""
         return Choice(VERLET, None, costs + unsure)

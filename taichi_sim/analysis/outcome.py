@@ -14,6 +14,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = [
     "DEEP",
     "MESH",
+    "SHORTER",
     "STARTS_DEEP",
     "Scales",
     "cure_of_depth",
@@ -39,6 +40,7 @@ FEW_CELLS = 0.05  # of all cells: corners that a landing turns inside out for a 
 MESH = "the mesh"
 
 BY_CONTACT = ("restitution", "friction")  # of what takes energy
+SHORTER = "take shorter steps"
 STARTS_DEEP = "move apart what overlaps at the start"
 
 
@@ -47,8 +49,10 @@ class Scales(NamedTuple):
     takers: what takes energy, see `takers`. motion [J]: the largest kinetic and elastic energy seen. swing: the part of
     it that the method's own moves by, where all is elastic; swing_power: of the elastic part, with which that grows; elastic:
     that part at the start or the end, whichever is larger. squeezes: colliders or pins move. damps: the name of a method that
-    takes energy itself. gains: why the method may give energy, in words. touches: there may be contacts, or there were.
-    starts_deep: balls were seen that overlap deeply at the start."""
+    takes energy itself. gains: why the method may give energy, in words; cure: of that. held [J]: the largest kinetic
+    and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
+    above the start. touches: there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the
+    start."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -62,6 +66,9 @@ class Scales(NamedTuple):
     touches: bool = True
     starts_deep: bool = False
     gains: str = ""
+    cure: str = SHORTER
+    held: float = 0.0
+    risen: float = 0.0
 
 
 def untouched(names: Sequence[str]) -> tuple[str, ...]:
@@ -154,13 +161,10 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     part = (end - start) / scales.motion
     if scales.drivers:
         return f"{_listed(scales.drivers)} {DRIVEN}" if abs(part) > KEPT else ""
-    much = (
-        f"{abs(part):.2g}{' times' if abs(part) >= 1.0 else ' of'} the largest energy in motion, {scales.motion:.4g} J"
-    )
+    much = f"{_times(abs(part))} the largest energy in motion, {scales.motion:.4g} J"
     kept = max(KEPT, scales.swing * min(1.0, max(0.0, scales.elastic)) ** scales.swing_power)
-    if part > kept:
-        why = scales.gains or "nothing in the scene explains it"
-        return f"gained {much}: {_grade(part, kept, max(LOST, kept))}; {why}: take shorter steps"
+    if rose := _rose(start, end, scales, kept):
+        return f"{rose}; {scales.gains or 'nothing in the scene explains it'}: {scales.cure}"
     grade = _grade(abs(part), kept, max(LOST, kept))
     if not scales.takers and not scales.damps:
         who = "only contacts can have changed it" if scales.touches else "nothing in the scene takes energy"
@@ -174,6 +178,23 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
     if not scales.damps:
         return f"{lost} went into {_listed(scales.takers)}, as expected"
     return f"{lost} went into {_listed(scales.takers)}, or into the own damping of {scales.damps}: shorter steps tell"
+
+
+def _rose(start: float, end: float, scales: Scales, kept: float) -> str:
+    """Words on the energy [J] at the end, or at its highest, above the start, by the largest in motion that the start explains;
+    empty where it is no more than methods keep to."""
+    held = scales.held or scales.motion
+    gained, risen = (end - start) / held, scales.risen / held
+    before = f"the largest energy in motion {'without it' if scales.held else ''}".rstrip()
+    if risen > max(LOST, scales.swing, gained):
+        return f"rose above the start by {_times(risen)} {before}, {held:.4g} J: wrong"
+    if gained > kept:
+        return f"gained {_times(gained)} {before}, {held:.4g} J: {_grade(gained, kept, max(LOST, kept))}"
+    return ""
+
+
+def _times(part: float) -> str:
+    return f"{part:.2g}{' times' if part >= 1.0 else ' of'}"
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -4,12 +4,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from taichi_sim.analysis import rebounds, turning
+from taichi_sim.analysis import rebounds, strikes, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
+from taichi_sim.common.quantities import at_most
 from taichi_sim.scene.bending import BENDING
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.materials import max_restitution
@@ -52,6 +53,9 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     yield from _of_tearing(scene, method, h)
     if setup.rule != "off":
         yield from _of_bounces(scene, method, h)
+        why, cure = strikes.unanswered(scene, method, h)
+        if why:
+            yield f"impacts: {why}; {cure}"
     if (turn := turning.at_start(scene, method, h)) is not None:
         if turn.rate(method, h) > MOST_TURNED:
             yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
@@ -59,12 +63,11 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
         yield "wind: acts on triangles, and this scene has none"
     sinking = sinking_spring(scene, h) if method.single_pass else None
     if sinking is not None:
-        step = min(h, sinking_step(scene))
         ball = ball_in_words(scene.objects, sinking.ball)
         yield (
             f"{method}: spring {sinking.spring} carries {sinking.load:.3g} N at {ball} and is left at least"
             f" {sinking.depth:.2g} m too long by the two passes of a step of {h:.3g} s, and others of its body by up to tens of"
-            f" times that; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {step:.2g} s"
+            f" times that; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {at_most(sinking_step(scene))} s"
         )
 
 
@@ -76,7 +79,7 @@ def _of_tearing(scene: Scene, method: Method, h: float) -> Iterator[str]:
     if h > RESOLVED * answer:
         yield (
             f"tearing: springs that may tear answer to a pull within {answer:.2g} s, which steps of {h:.3g} s by {method} do not"
-            f" resolve: others may tear, or none; take {VERLET}, or steps of {RESOLVED * answer:.2g} s"
+            f" resolve: others may tear, or none; take {VERLET}, or steps of {at_most(RESOLVED * answer)} s"
         )
 
 
@@ -96,7 +99,7 @@ def _of_bounces(scene: Scene, method: Method, h: float) -> Iterator[str]:
         yield (
             f"bounce: bodies of springs or elements that bounce at a restitution of {bounce:g} may gain energy, because"
             f" steps of {h:.3g} s by {method} do not resolve how fast their balls swing; take steps of"
-            f" {longest / np.sqrt(rate):.2g} s"
+            f" {at_most(longest / np.sqrt(rate))} s"
         )
 
 

@@ -9,6 +9,7 @@ from taichi_sim.analysis.element_rates import Declared, Rates, element_rates, pu
 from taichi_sim.analysis.limits import StabilityLimit
 from taichi_sim.analysis.methods import Method
 from taichi_sim.analysis.spring_bounds import Network, largest_eigenvalue, present_eigenvalue
+from taichi_sim.common.quantities import at_most
 from taichi_sim.geometry.graph import components
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.gases import GASES
@@ -23,12 +24,14 @@ __all__ = [
     "present_limit",
     "sinking_spring",
     "sinking_step",
+    "soft_step",
     "stability",
     "without",
 ]
 
 MOST_BOUNCE = 0.85  # restitution at which springs solved one by one are known to gain nothing from a wall
 SINKING = 0.05  # of a rest length: what xpbd may leave a spring too long by
+LONG = 1.0 / 30.0  # s, a step as long as any that is used
 HEAVY = 10.0  # times the mass of the other end: such a ball may not
 NOTHING = Declared()
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
@@ -75,6 +78,12 @@ def stability(
     if not limit.by_springs and not any(rates):
         bounces = method.single_pass and max_restitution(scene) > MOST_BOUNCE
         caution = f"; bodies that bounce at a restitution above {MOST_BOUNCE:g} may gain energy" if bounces else ""
+        if np.isfinite(soft := soft_step(scene, method)):
+            caution = (
+                f", but in steps above {at_most(soft)} s its two passes leave springs too long by the weights that they carry,"
+                f" and these hold energy that nothing gave{caution}"
+            )
+            return _unlimited(f"{method} stays bounded at any step{caution}")
         return _unlimited(f"{method} is stable at any step{limit.caution}{caution}")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
@@ -191,8 +200,7 @@ def sinking_spring(scene: Scene, h: float) -> Sinking | None:
     load, lag = _lags(scene)
     depth = lag * h**2
     mass = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs]
-    heavy = (mass.min(axis=1) > 0.0) & (mass.max(axis=1) >= HEAVY * mass.min(axis=1))
-    shows = (depth >= _own_stretch(scene, load)) & (heavy | (depth >= SINKING * scene.rest_length))
+    shows = (depth >= _own_stretch(scene, load)) & (_heavy(scene) | (depth >= SINKING * scene.rest_length))
     if not np.any(shows & (depth > 0.0)):
         return None
     spring = int(np.argmax(np.where(shows, depth, 0.0)))
@@ -200,12 +208,25 @@ def sinking_spring(scene: Scene, h: float) -> Sinking | None:
     return Sinking(spring, ball, float(load[spring]), float(depth[spring]))
 
 
+def soft_step(scene: Scene, method: Method) -> float:
+    """The longest step [s] of a method of two passes that leaves no spring too long, see `sinking_spring`; infinite for others,
+    and where no step is that long."""
+    return sinking_step(scene) if method.single_pass and sinking_spring(scene, LONG) is not None else np.inf
+
+
 def sinking_step(scene: Scene) -> float:
-    """The longest step [s] of xpbd that leaves no spring too long by more than its load stretches it, or SINKING of its rest
-    length, whichever is more."""
+    """The longest step [s] of xpbd that leaves no spring too long by more than its load stretches it, or, where no end is HEAVY,
+    SINKING of its rest length, whichever is more."""
     load, lag = _lags(scene)
-    allowed = np.maximum(_own_stretch(scene, load), SINKING * scene.rest_length)
+    own = _own_stretch(scene, load)
+    allowed = np.where(_heavy(scene), own, np.maximum(own, SINKING * scene.rest_length))
     return float(np.sqrt(np.min(allowed[lag > 0] / lag[lag > 0], initial=np.inf)))
+
+
+def _heavy(scene: Scene) -> NDArray[np.bool_]:
+    """Springs (m,) one of whose ends, both free, is HEAVY."""
+    mass = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs]
+    return (mass.min(axis=1) > 0.0) & (mass.max(axis=1) >= HEAVY * mass.min(axis=1))
 
 
 def _lags(scene: Scene) -> tuple[Floats, Floats]:

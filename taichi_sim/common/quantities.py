@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 
-__all__ = ["EXACT", "ROUNDED", "counted", "measured", "measures", "percent", "plain_number"]
+__all__ = ["EXACT", "ROUNDED", "at_most", "counted", "measured", "measures", "percent", "plain_number"]
 
 EXACT = 1e-12  # of a value: an uncertainty below that is rounding
 ROUNDED = "exact to rounding"
@@ -31,6 +31,14 @@ def measures(values: Sequence[float], uncertainties: Sequence[float | None], uni
 def counted(number: int, one: str, many: str) -> str:
     """A number and the words that follow it: those for one, or those for several or none."""
     return f"{number} {one if number == 1 else many}"
+
+
+def at_most(value: float) -> str:
+    """A positive number of two digits, rounded down, for advice that must hold as it is printed."""
+    if not 0.0 < value < math.inf:
+        return f"{value:g}"
+    unit = 10.0 ** (math.floor(math.log10(value) + 1e-12) - 1)
+    return f"{math.floor(value / unit * (1.0 + 1e-9)) * unit:.2g}"
 
 
 def percent(part: float) -> str:

@@ -18,7 +18,8 @@ from taichi_sim.analysis.methods import (
     Method,
 )
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
-from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, stability, without
+from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, soft_step, stability, without
+from taichi_sim.common.quantities import at_most
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, Settings, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
@@ -98,7 +99,9 @@ def lines(sim: Simulation) -> Iterator[str]:
     )
     if used.limit is not None:
         share = _share(h, limits.dt_any_shape, part_of_bound(scene, used))
-        yield f"safe step             {_seconds(limits.dt_any_shape)}, however the scene deforms{share}"
+        soft = soft_step(scene, used)
+        too_long = f"; above {at_most(soft)} s springs come out too long" if soft < limits.dt_any_shape else ""
+        yield f"safe step             {_seconds(limits.dt_any_shape)}, however the scene deforms{share}{too_long}"
         yield f"safe at present       {_seconds(limits.dt_present)}, at the present positions alone"
     limiting = [f"{name} {one}" for name, one in (("spring", limits.spring), ("ball", limits.ball)) if one is not None]
     if limiting:
@@ -130,7 +133,9 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield from _limited(scene, custom)
     else:
         springs = f": springs are damped, and {XPBD} makes them too soft" if scene.n_springs else ""
-        yield f"{stiff}: any step is stable, but the error grows with it{springs}"
+        soft = soft_step(scene, XPBD)
+        above = f" in steps above {at_most(soft)} s" if np.isfinite(soft) else ""
+        yield f"{stiff}: any step is stable, but the error grows with it{springs}{above}"
     yield from _other_by_auto(sim)
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
@@ -179,6 +184,10 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
     safe = limits.dt_any_shape
     if used.limit is None:
         return f"{used} declares no stability limit: halve the step until the result stays the same"
+    if (soft := soft_step(scene, used)) < safe:
+        return (
+            f"take steps of {at_most(soft)} s at most: in longer ones {used} leaves springs too long by what they carry"
+        )
     if np.isinf(safe):
         return "no spring limits the step; choose it by the accuracy you need"
     if safe == 0.0:

@@ -286,6 +286,7 @@ class AdaptiveStepper(Stepper):
         growth = self.monitor.judge(sample)
         if growth is not None:
             self.checks.warn_of(growth, repeats=False)
+        self.checks.look_at_energy(sample)
         self.steps += 1
         self.mark = self.end = self.steps
         self.moved = True

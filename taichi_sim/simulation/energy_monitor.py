@@ -32,6 +32,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
+MOST_RISE = 0.1  # of the energy in motion that the start explains, by methods that only lose
 LEAST_GROWTH = 0.01  # of the largest kinetic plus elastic energy so far
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
@@ -62,7 +63,9 @@ class Growth(NamedTuple):
 class EnergyMonitor:
     """Judges samples of one run (see state_probe.StateSample), one after another; `begin` forgets those before.
 
-    part: the substep as a part of the bound for every shape. closed: nothing works on the scene. contacts: there are some.
+    held: the largest kinetic and elastic energy [J] that the energy at the start explains; risen: the most [J] by which the
+    total has been above the start. part: the substep as a part of the bound for every shape. closed: nothing works on the
+    scene. contacts: there are some.
     """
 
     def __init__(
@@ -76,8 +79,16 @@ class EnergyMonitor:
         self.cancelled = CANCELLED * eps * sum(element.cancelling(scene) for element in ELEMENTS)
         self.jitter = 0.5 * float(np.sum(scene.stiffness)) * (self.digits * far) ** 2
         self.slack = _overlap(scene) if contacts else 0.0
+        self.lift = _lift(scene) if contacts else 0.0
+        self.only_loses = method.limit is not None and not method.limit.by_springs
+        self.start, self.held, self.risen = np.inf, 0.0, 0.0
         self.least, self.most = np.inf, 0.0
         self.last: Any = None  # sample
+
+    def start_at(self, sample: Any) -> None:
+        """Begin a run with the state of `sample`."""
+        self.start, self.held, self.risen = sample.total, sample.motion, 0.0
+        self.begin(sample)
 
     def begin(self, sample: Any) -> None:
         """Begin to watch from the state of `sample`."""
@@ -89,6 +100,18 @@ class EnergyMonitor:
         if growth is None:
             self.least, self.most, self.last = min(self.least, sample.total), max(self.most, sample.motion), sample
         return growth
+
+    def rise(self, sample: Any) -> Growth | None:
+        """Note a sample, which is kept, and give the growth since the start, or None: of methods that only lose energy, where it
+        is more than a part of what the start explains; contacts may lift balls by their radius."""
+        if np.isinf(self.start):  # of a run that goes on from a file
+            self.start = sample.total
+        above = max(0.0, sample.total - self.start)
+        self.held = max(self.held, sample.motion - above)
+        self.risen = max(self.risen, above - self.lift - self._rounding(sample))
+        if not self.closed or not self.only_loses or self.risen <= MOST_RISE * self.held:
+            return None
+        return Growth(self.start, sample.total, True)
 
     def growth(self, sample: Any, most: float = 0.0) -> Growth | None:
         """The growth that a sample shows, or None. most: kinetic plus elastic energy [J] that others have shown since then."""
@@ -111,6 +134,11 @@ class EnergyMonitor:
             + self.jitter
             + 2.0 * float(np.sqrt(max(0.0, sample.elastic) * self.jitter))
         )
+
+
+def _lift(scene: Scene) -> float:
+    """Energy [J] that lifts each ball by its radius."""
+    return float(np.linalg.norm(scene.gravity) * np.sum(np.where(scene.pinned, 0.0, scene.mass) * scene.radius))
 
 
 def _overlap(scene: Scene) -> float:

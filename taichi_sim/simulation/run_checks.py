@@ -8,8 +8,9 @@ from weakref import proxy
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.outcome import DEEP, STARTS_DEEP, Scales, cure_of_depth, takers
+from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, takers
 from taichi_sim.analysis.stability import explicit_parts, present_limit
+from taichi_sim.analysis.strikes import unanswered
 from taichi_sim.analysis.touching import overlap, overlap_at_start
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.elements import ELEMENTS
@@ -72,6 +73,7 @@ class RunChecks:
         """Scales by which the run is judged."""
         run, method = self.run, self.run.method
         touches, torn = run.parts.contacts.active, run.parts.torn
+        gains, cure = self._why_energy_grows()
         return Scales(
             slow=2.0 * float(np.linalg.norm(self.scene.gravity)) * run.h,
             drivers=self.drivers,
@@ -82,7 +84,10 @@ class RunChecks:
             squeezes=self.squeezes,
             starts_deep=STARTS_DEEP in self.warned,
             damps="" if method.conserves else method.name,
-            gains=method.why_energy_grows(),
+            gains=gains,
+            cure=cure,
+            held=run.monitor.held,
+            risen=run.monitor.risen,
             touches=touches,
         )
 
@@ -179,10 +184,25 @@ class RunChecks:
             too_long = f"the step of {run.h:.6g} s is too long: in this shape {self.limiting(spring, limit)}"
             self.warn("growth", f"{grew}, because {too_long}")
             return
-        why = run.method.why_energy_grows()
+        why, cure = self._why_energy_grows()
         cause = f"as {why}" if why else "which nothing explains"
         more = ", or more contact_iterations" if run.parts.contacts.active and not why else ""
-        self.warn("growth", f"{grew}, {cause}; {run.h:.6g} s is used: take shorter steps{more}")
+        self.warn("growth", f"{grew}, {cause}; {run.h:.6g} s is used: {cure}{more}")
+
+    def look_at_energy(self, sample: Any) -> None:
+        """Warn where a sample that is kept shows more energy than the start has, by a method that only loses it."""
+        rise = self.run.monitor.rise(sample)
+        if rise is not None:
+            self.warn_of(rise)
+
+    def _why_energy_grows(self) -> tuple[str, str]:
+        """The reason why steps may give energy, empty where there is none, and the cure."""
+        run = self.run
+        if run.parts.contacts.active:
+            why, cure = unanswered(self.scene, run.method, run.h)
+            if why:
+                return why, cure
+        return run.method.why_energy_grows(), SHORTER
 
     def limiting(self, spring: int, limit: float) -> str:
         """Words on the spring that limits the step to so many seconds, or, below 0, on what else does."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taichi_sim.analysis.accuracy import layers
+from taichi_sim.analysis.accuracy import impact_step, layers
 from taichi_sim.analysis.choice import LONGEST_STEP, Demand, choose
 from taichi_sim.analysis.element_rates import declared_rates, undeclared
 from taichi_sim.analysis.late_impacts import late_rate
@@ -222,7 +222,8 @@ def _chosen(scene: Scene, values: dict[str, Any], forces: Sequence[Any]) -> dict
     by_error = values["tolerance"] is not None
     bounces = math.inf if by_error else _impact_step(scene, rule)
     contact_step = max(LONGEST_STEP, min(_pile_step(scene, rule), bounces, _surface_step(scene, rule)))
-    demand = Demand(step, contact_step, rule != "off", by_error, part_of_bound(scene, VERLET))
+    advised = math.inf if rule == "off" else impact_step(scene)
+    demand = Demand(step, contact_step, advised, rule != "off", by_error, part_of_bound(scene, VERLET))
     choice = choose(scene, demand, declared_rates(scene, forces), bool(undeclared(forces)))
     found = {"integrator": _integrator(choice.method.name), "chosen": f"{choice.method} by auto: {choice.reason}"}
     return found if choice.step is None else found | {"dt": choice.step}

@@ -131,7 +131,7 @@ class Stepper:
             ball = ball_in_words(self.scene.objects, sample.bad)
             says = f"{ball} starts at {x} with {v}; position and velocity must be below 1e12 m and m/s"
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
-        self.monitor.begin(sample)
+        self.monitor.start_at(sample)
         self.largest_motion, self.checks.fastest = sample.motion, sample.speed
         self.primed, self.moved = True, False
 
@@ -213,6 +213,8 @@ class Stepper:
             self.checks.warn_of(growth)
         elif whole:
             self.retry.shorten(growth)
+        if growth is None or not self.may_shorten:
+            self.checks.look_at_energy(sample)
         self.moved = True
         self.checks.fastest = max(self.checks.fastest, sample.speed)
         if whole:

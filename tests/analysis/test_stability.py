@@ -1,8 +1,10 @@
 """The safe step: below the exact limit of every method, near it for the present shape, and no blow-up where it is kept."""
 
+import warnings
+
 import numpy as np
 import pytest
-from physics_support import F64, add_network, simulate, vector
+from physics_support import F64, PRECISION, add_network, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.analysis.methods import named
@@ -223,3 +225,35 @@ def test_another_step_gives_the_bits_of_a_simulation_made_with_it():
         with pytest.raises(ValueError, match="dt: -1"):
             sim.set_dt(-1)
         assert sim.dt == 1e-2
+
+
+def load_on_a_chain(load: float) -> ts.Scene:
+    """Balls of 8 g on springs of 4e4 N/m below a pin, the last of another mass."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -9.81))
+    b = scene.add_balls([[0.06 * k, 0.0] for k in range(9)], radius=0.01, mass=[0.008] * 8 + [load], pinned=[0])
+    scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=4e4)
+    return scene
+
+
+def test_xpbd_names_the_step_above_which_a_load_makes_springs_too_long():
+    """All that is said names one step, which is a cure: there the warning is gone."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        with ts.Simulation(
+            load_on_a_chain(0.7), arch="cpu", precision=PRECISION, integrator="xpbd", dt=1e-3, contacts="off"
+        ) as sim:
+            text = "\n".join(check.lines(sim))
+            cure = next(str(w.message) for w in seen if "xpbd: spring" in str(w.message)).split()[-2]
+            seen.clear()
+            sim.set_dt(float(cure))
+            assert not [w for w in seen if "xpbd: spring" in str(w.message)]
+    assert float(cure) < 1e-3
+    for words in (
+        f"no limit, however the scene deforms; above {cure} s springs come out too long",
+        f"xpbd stays bounded at any step, but in steps above {cure} s its two passes leave springs too long",
+        f"advice                take steps of {cure} s at most",
+    ):
+        assert words in text
+    assert "is stable at any step" not in text
+    with simulate(load_on_a_chain(0.008), integrator="verlet", contacts="off") as sim:
+        assert "makes them too soft in steps above" in "\n".join(check.lines(sim))  # of all that hangs at the pin

@@ -132,13 +132,7 @@ class Findings:
             )
         elif self.dropped and reference.parts:
             yield f"{len(self.dropped)} stable runs lie so near to the reference that their errors cannot be told."
-        methods = stuck(self.rows, reference.known)
-        if methods:
-            yield f"Errors do not fall with the step of {', '.join(methods)}" + (
-                ": contacts, where there are some, make and break at other moments with each step."
-                if reference.touch
-                else "."
-            )
+        yield from self._stuck()
         whose = "the size" if compared.quantity is None else f"the motion of {compared.name}"
         grown = (
             f"Two runs that start {APART:g} of the size apart part by up to {reference.parting.max():.1g} of {whose}"
@@ -158,6 +152,18 @@ class Findings:
             )
         if self.floor is not None:
             yield f"In single precision smaller steps do not go below an error of {self.floor:.1g} of the motion."
+
+    def _stuck(self) -> Iterator[str]:
+        """Sentences on methods whose errors do not fall, and why: of those that pass through springs their softness."""
+        methods = stuck(self.rows, self.reference.known)
+        soft = [name for name in methods if method_named(name).single_pass and self.scene.n_springs]
+        if soft:
+            yield f"Errors do not fall with the step of {', '.join(soft)}: its passes leave springs too soft at these steps."
+        others = [name for name in methods if name not in soft]
+        if others:
+            few = "contacts" if self.reference.contacts else "contacts between the moments compared, if there were any,"
+            why = f": {few} make and break at other moments with each step" if self.reference.touch else ""
+            yield f"Errors do not fall with the step of {', '.join(others)}{why}."
 
     def lines(self) -> Iterator[str]:
         """Lines for the terminal."""
@@ -193,7 +199,9 @@ def _above_safe(rows: list[Row]) -> str:
     """End of a sentence: that rows are of steps above the safe one, or some of them; empty where none is."""
     above = sum((row.part_of_safe_step or 0.0) > 1.0 + 1e-9 for row in rows)
     of_them = f"{above} of them " if above < len(rows) else ""
-    return f", {of_them}at {'steps' if above > 1 else 'a step'} above the safe one" if above else ""
+    words = f", {of_them}at {'steps' if above > 1 else 'a step'} above the safe one" if above else ""
+    without = sum(row.part_of_safe_step is None for row in rows)
+    return f"{words}, {without} of them by methods that have no safe step here" if without else words
 
 
 def in_unit(word: str, unit: str) -> str:

@@ -74,12 +74,13 @@ def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
 
 
 def stuck(rows: Sequence[Row], known: float) -> list[str]:
-    """Methods, in the best precision that there is, whose errors do not fall with the step any more. Rows: sorted."""
+    """Methods, in the best precision that there is, whose errors do not fall with the step any more, over one halving
+    or two. Rows: sorted."""
     found = []
     for method in dict.fromkeys(row.method for row in rows):
         own = [row for row in rows if (row.precision, row.method) == (rows[0].precision, method) and tells(row, known)]
         longer = [row for row in own if row.step > LONGER_STEP * own[-1].step]
-        if longer and (own[-1].rms_error or 0.0) > ERROR_FALLS * (longer[-1].rms_error or 0.0):
+        if longer and (own[-1].rms_error or 0.0) > ERROR_FALLS * max(row.rms_error or 0.0 for row in longer[-2:]):
             found.append(method)
     return found
 

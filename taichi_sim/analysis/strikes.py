@@ -1,0 +1,80 @@
+"""Strikes: contacts of balls on springs or elements with other balls, by methods that solve springs before they know of such
+contacts. No Taichi.
+
+A stage solves stiff springs for all of a step h, and then a contact gives a ball of mass m a velocity v that no spring has
+answered. It moves by v h until the next stage, which stores k (v h)^2 / 2 in its springs: (omega h)^2 times the energy of the
+impact, omega^2 = k / m. A heavy striker pushes on all the while.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taichi_sim.analysis.element_rates import element_rates
+from taichi_sim.analysis.methods import VERLET, Method
+from taichi_sim.analysis.spring_bounds import largest_eigenvalue
+from taichi_sim.common.quantities import at_most
+from taichi_sim.geometry.graph import components
+from taichi_sim.scene.collision_groups import meet
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.scene import Scene
+
+__all__ = ["ANSWERED", "ANSWERED_BY_PASSES", "fastest_swing", "may_strike", "strike_step", "unanswered"]
+
+# Longest step times the largest frequency of balls on their springs, omega h, at which nets, cloth and jelly struck by balls of
+# 5 to 450 times the mass of theirs gained less than a tenth of the kinetic energy before it: by stages, and by two passes
+ANSWERED, ANSWERED_BY_PASSES = 2.0, 1.0
+
+
+def strike_step(scene: Scene, method: Method) -> float:
+    """The longest step [s] in which a method answers the impacts of other balls on bodies of springs or elements; infinite
+    where there are none, and for methods whose steps springs limit."""
+    if method.limit is None or method.limit.by_springs or not may_strike(scene):
+        return np.inf
+    omega = fastest_swing(scene)
+    return (ANSWERED_BY_PASSES if method.single_pass else ANSWERED) / omega if omega > 0.0 else np.inf
+
+
+def fastest_swing(scene: Scene) -> float:
+    """A bound [1/s] of the frequencies of balls on their springs and elements, undamped."""
+    springs = float(largest_eigenvalue(scene, scene.stiffness)[0]) if scene.n_springs else 0.0
+    return float(np.sqrt(springs + element_rates(scene).elastic))
+
+
+def may_strike(scene: Scene) -> bool:
+    """True if a free ball of a spring or an element may meet a ball that nothing joins it to. Contacts of a body with itself
+    do not count."""
+    part = _parts(scene)
+    elastic = scene.joined() & ~scene.pinned
+    kinds, which = np.unique(
+        np.stack([scene.body, scene.group, scene.mask, elastic], axis=1), axis=0, return_inverse=True
+    )
+    which = which.reshape(-1)
+    first, last = np.full(len(kinds), scene.n_balls), np.full(len(kinds), -1)  # part of each kind, by its number
+    np.minimum.at(first, which, part)
+    np.maximum.at(last, which, part)
+    body, group, mask = kinds[:, 0], kinds[:, 1], kinds[:, 2]
+    for k in np.flatnonzero(kinds[:, 3]):
+        others = meet(group, mask, group[k], mask[k]) & ((body != body[k]) | (body[k] == 0))
+        if np.any(others & ((first != first[k]) | (last != last[k]) | (first[k] != last[k]))):
+            return True
+    return False
+
+
+def _parts(scene: Scene) -> NDArray[np.int64]:
+    """Lowest number (n,) of the balls that springs and elements join to each ball."""
+    edges = [scene.pairs]
+    for corners in (one.corners(scene) for one in ELEMENTS):
+        edges += [corners[:, [0, k]] for k in range(1, corners.shape[1])]
+    return components(scene.n_balls, np.concatenate(edges).astype(np.int64))
+
+
+def unanswered(scene: Scene, method: Method, h: float) -> tuple[str, str]:
+    """Words on why impacts of balls give energy in steps of h seconds, and the cure; both empty where they do not."""
+    step = strike_step(scene, method)
+    if h <= step * (1.0 + 1e-9):
+        return "", ""
+    return (
+        f"{method} solves springs and elements before it knows of contacts between balls, so impacts of balls on them may give"
+        f" energy in steps of {h:.3g} s",
+        f"take steps of {at_most(step)} s, or {VERLET}",
+    )
