@@ -10,6 +10,7 @@ from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
 from taichi_sim.integrators.newton_cg import StageSolver
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["FRESH", "KNOWN", "STRUCK", "Implicit"]
 
@@ -28,7 +29,7 @@ class Implicit(Integrator):
     """
 
     each_once = True
-    hosted = refines = True
+    hosted = True
     stages = 1
     opening = 0
     part = 1.0
@@ -47,6 +48,10 @@ class Implicit(Integrator):
                 f"it must be above 0 and at most {LARGEST_TOLERANCE}, or stages that were not solved could not be told"
             )
             raise ValueError(f"tolerance: {tolerance!r} is not allowed; {says}")
+
+    def refines(self, scene: Scene) -> bool:
+        """True."""
+        return True
 
     def allocate(self, fields: Fields) -> None:
         """The solver and its fields."""
