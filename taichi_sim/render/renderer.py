@@ -72,8 +72,7 @@ class Renderer:
             raise ValueError(f"subdivide: {subdivide!r} is not allowed; it must be 0, 1 or 2")
         if not 0 <= crease <= 180:
             raise ValueError(f"crease: {crease!r} is not allowed; it must be an angle from 0 to 180 degrees")
-        if stage not in STAGES:
-            raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
+        validation.one_of("stage", stage, STAGES)
         self._exposure = Exposure(shutter, aperture, exposures)
         require_depth(aperture, frame.dim)
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))

@@ -157,8 +157,8 @@ class Runner:
         return self.simulation
 
     def _rehearse(self, scene: Scene) -> None:
-        """Run two steps from where the scene is and read what is measured, by numbers alone: functions of the user's may count how
-        often they run."""
+        """Run two steps from where the scene is and read what is measured, by numbers alone: functions of the user's may count
+        how often they run."""
         from taichi_sim.simulation.simulation import Simulation
 
         with Simulation(scene, **{**self.job.settings, "settle": None}) as simulation:

@@ -33,16 +33,16 @@ def test_a_rehearsal_does_not_settle_and_waiting_is_no_time_of_a_point(monkeypat
     """Settling takes as long as many frames; what another worker compiles is not this point's."""
     seen = []
 
-    class Made(Exception):
+    class MadeError(Exception):
         pass
 
     class Recorded:
         def __init__(self, scene, **settings):
             seen.append(settings)
-            raise Made
+            raise MadeError
 
     def rehearses(kind, job, rehearse):
-        with pytest.raises(Made):
+        with pytest.raises(MadeError):
             rehearse()
         return 1000.0
 
