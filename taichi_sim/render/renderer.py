@@ -78,9 +78,10 @@ class Renderer:
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         shapes = [one.name for one in frame.objects]
         colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]
+        sheets = [one.name for one in frame.objects if one.is_sheet]
         styles: list[Look] = []
         for k, one in enumerate(looks):
-            styles.append(Look.of_table(f"looks[{k}]", one, shapes, colliders, styles))
+            styles.append(Look.of_table(f"looks[{k}]", one, shapes, colliders, styles, sheets))
         backend.start()
         self.size = (width, height)
         self._painter: Any

@@ -540,6 +540,7 @@ def test_looks_that_are_refused(tmp_path):
         ({"of": "flag", "opacity": 0.5}, "is for colliders"),
         ({"of": "flag", "translucency": 1.5}, r"looks\[0\].translucency: 1.5"),
         ({"of": "flag", "hem": 0.6}, r"looks\[0\].hem: 0.6"),
+        ({"of": "flag", "repeat": 3}, r"looks\[0\].repeat: 3 is of a pattern or a texture"),
     ):
         with pytest.raises(SceneError, match=message):
             Renderer(frame, size=SIZE, looks=[look])
@@ -552,5 +553,13 @@ def test_looks_that_are_refused(tmp_path):
         file.write_text(text + more)
         with pytest.raises(SceneError, match=message):
             load_scene(file)
+    file.write_text(text.replace("cloth", "jelly") + "hem = 0.07")
+    with pytest.raises(
+        SceneError, match=r"line 7: output\.looks\[0\]\.hem: 0.07 is for rectangular cloth; 'flag' is none"
+    ):
+        load_scene(file)
+    for stage in (None, ["day"]):
+        with pytest.raises(SceneError, match="stage: .* is not allowed; it must be one of 'day', "):
+            Renderer(frame, size=SIZE, stage=stage)
     file.write_text(text + 'pattern = "checks"')
     assert load_scene(file).output["looks"] == ({"of": "flag", "pattern": "checks"},)
