@@ -86,8 +86,9 @@ class Look:
         before: Sequence[Look] = (),
         sheets: Collection[str] = (),
     ) -> Look:
-        """Make a look from a table of [[output.looks]], the names of shapes and colliders, the looks of the tables
-        before, and the names of the shapes that are rectangular sheets. Raises SceneError that names `where`, the key and the value."""
+        """Make a look from a table of [[output.looks]], the names of shapes and colliders, the looks of the tables before,
+        and the names of the shapes that are rectangular sheets. Raises SceneError that names `where`, the key and the
+        value."""
         known = [f.name for f in fields(cls)]
         if not isinstance(given, Mapping):
             raise SceneError(where, given, "a table")
