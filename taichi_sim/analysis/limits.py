@@ -34,6 +34,7 @@ class StabilityLimit:
 
     by_springs: ClassVar[bool] = True  # whether springs limit the step at all
     caution: ClassVar[str] = ""  # what else the reason of a bound must say
+    bouncing: ClassVar[str] = ""  # the same, of bodies that may gain energy by bounces
 
     def __post_init__(self) -> None:
         for name in ("undamped", "damped"):
@@ -124,6 +125,7 @@ class ImplicitLimit(StabilityLimit):
 
     by_springs = False
     caution = ": springs give no energy, but the error grows with the step"
+    bouncing = ": springs give no energy but for bounces, and the error grows with the step"
 
 
 class SmallMotionLimit(ImplicitLimit):
@@ -132,3 +134,4 @@ class SmallMotionLimit(ImplicitLimit):
     caution = (
         " for small motion, but springs that turn far in a step may gain energy, and the error grows with the step"
     )
+    bouncing = caution

@@ -9,7 +9,14 @@ from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
-from taichi_sim.analysis.stability import coarsest_spring, sinking_spring, sinking_step
+from taichi_sim.analysis.stability import (
+    REBOUNDS,
+    coarsest_spring,
+    overload_step,
+    overloaded_spring,
+    sinking_spring,
+    sinking_step,
+)
 from taichi_sim.common.quantities import at_most
 from taichi_sim.scene.bending import BENDING
 from taichi_sim.scene.elements import ELEMENTS
@@ -23,9 +30,6 @@ FASTEST = 4.0  # radii that a pin may move in a substep
 MOST_TURNED = 0.5  # of its angular momentum, that a method may take from a body in a second
 MOST_RETURNED = 0.225  # of the speed of an impact without restitution: by sweeps, of masses 1:27
 RESOLVED = 0.5  # of the time in which a spring answers a pull: in longer steps others tear, or none
-# Restitution, and the longest step times the largest frequency of balls on their springs, omega h, at which bodies of a higher
-# restitution gain less than a tenth of their energy. Measured; up to the last restitution none gains
-REBOUNDS = ((0.85, 0.4), (0.5, 1.0))
 MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
 
 
@@ -65,9 +69,21 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     if sinking is not None:
         ball = ball_in_words(scene.objects, sinking.ball)
         yield (
-            f"{method}: spring {sinking.spring} carries {sinking.load:.3g} N at {ball} and is left at least"
+            f"{method}: spring {sinking.spring} carries {sinking.load:.3g} N at {ball} and is left about"
             f" {sinking.depth:.2g} m too long by the two passes of a step of {h:.3g} s, and others of its body by up to tens of"
             f" times that; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {at_most(sinking_step(scene))} s"
+        )
+    yield from _of_hanging(scene, method, h)
+
+
+def _of_hanging(scene: Scene, method: Method, h: float) -> Iterator[str]:
+    """Of methods that solve for elements between two passes over springs."""
+    over = overloaded_spring(scene, h) if method.single_pass and method.solves_elements else None
+    if over is not None:
+        yield (
+            f"{method}: spring {over.spring} carries {over.load:.3g} N at {ball_in_words(scene.objects, over.ball)} and shows"
+            f" about {over.part:.0%} more at rest, because steps of {h:.3g} s solve for elements between two passes over"
+            f" springs; take {IMPLICIT_EULER}, {TR_BDF2} or steps of {min(h, overload_step(scene)):.2g} s"
         )
 
 

@@ -17,10 +17,13 @@ from taichi_sim.scene.objects import pair_in_words
 from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
+    "Overload",
     "Sinking",
     "Stability",
     "coarsest_spring",
     "explicit_parts",
+    "overload_step",
+    "overloaded_spring",
     "present_limit",
     "sinking_spring",
     "sinking_step",
@@ -29,9 +32,13 @@ __all__ = [
     "without",
 ]
 
+# Restitution, and the longest step times the largest frequency of balls on their springs, omega h, at which bodies of a higher
+# restitution gain less than a tenth of their energy. Measured; up to the last restitution none gains
+REBOUNDS = ((0.85, 0.4), (0.5, 1.0))
 MOST_BOUNCE = 0.85  # restitution at which springs solved one by one are known to gain nothing from a wall
 SINKING = 0.05  # of a rest length: what xpbd may leave a spring too long by
 LONG = 1.0 / 30.0  # s, a step as long as any that is used
+OVERLOAD = 0.05  # of a load: what xpbd may leave a spring to an element with too much
 HEAVY = 10.0  # times the mass of the other end: such a ball may not
 NOTHING = Declared()
 VISIBLE = 1.0  # unit of rounding: a spring whose load stretches it by less is rigid or slack by chance
@@ -76,15 +83,17 @@ def stability(
             pushed, pushed, None, None, "gas: each step leaves the springs of its surface a part of what it pushes"
         )
     if not limit.by_springs and not any(rates):
-        bounces = method.single_pass and max_restitution(scene) > MOST_BOUNCE
-        caution = f"; bodies that bounce at a restitution above {MOST_BOUNCE:g} may gain energy" if bounces else ""
+        bounce = max_restitution(scene)
+        gains = bounce > (MOST_BOUNCE if method.single_pass else REBOUNDS[-1][0])
+        once = (
+            f"; bodies that bounce at a restitution above {MOST_BOUNCE:g} may gain energy" * method.single_pass * gains
+        )
         if np.isfinite(soft := soft_step(scene, method)):
-            caution = (
-                f", but in steps above {at_most(soft)} s its two passes leave springs too long by the weights that they carry,"
-                f" and these hold energy that nothing gave{caution}"
+            return _unlimited(
+                f"{method} stays bounded at any step, but in steps above {at_most(soft)} s its two passes leave springs too long"
+                f" by the weights that they carry, and these hold energy that nothing gave{once}"
             )
-            return _unlimited(f"{method} stays bounded at any step{caution}")
-        return _unlimited(f"{method} is stable at any step{limit.caution}{caution}")
+        return _unlimited(f"{method} is stable at any step{limit.bouncing + once if gains else limit.caution}")
     k, c = _whole(scene, torn)
     if not limit.by_springs or not np.any(k + c > 0):
         return _of_elements(method, limit, rates, explicit_parts(scene, method, custom))
@@ -194,11 +203,11 @@ def sinking_spring(scene: Scene, h: float) -> Sinking | None:
     less than SINKING of the rest length and no ball is HEAVY times the other end.
 
     A pass gives at most what moves both ends to their place, so two passes hold a load F as a spring of the compliance 1 / k +
-    h^2 W / 2, W the inverse masses of both ends, however still its lighter end is held by others. At the end of a chain of light
-    balls it is tens of times as much.
+    (h^2 + h c / k) W / 2, W the inverse masses of both ends, however still its lighter end is held by others. At the end of a
+    chain of light balls it is tens of times as much.
     """
     load, lag = _lags(scene)
-    depth = lag * h**2
+    depth = lag * (h**2 + h * _answer_time(scene))
     mass = np.where(scene.pinned, 0.0, scene.mass)[scene.pairs]
     shows = (depth >= _own_stretch(scene, load)) & (_heavy(scene) | (depth >= SINKING * scene.rest_length))
     if not np.any(shows & (depth > 0.0)):
@@ -220,7 +229,74 @@ def sinking_step(scene: Scene) -> float:
     load, lag = _lags(scene)
     own = _own_stretch(scene, load)
     allowed = np.where(_heavy(scene), own, np.maximum(own, SINKING * scene.rest_length))
-    return float(np.sqrt(np.min(allowed[lag > 0] / lag[lag > 0], initial=np.inf)))
+    return _shortest(allowed[lag > 0] / lag[lag > 0], _answer_time(scene)[lag > 0])
+
+
+class Overload(NamedTuple):
+    """A spring between a pin and a body of elements: its number, its free ball, its load [N], and the part that xpbd adds."""
+
+    spring: int
+    ball: int
+    load: float
+    part: float
+
+
+def overloaded_spring(scene: Scene, h: float) -> Overload | None:
+    """The spring from a pin to a body of elements that steps of xpbd leave with the most too much; None below OVERLOAD.
+
+    Elements keep such a ball of mass m at its place between the passes. With a = (h^2 k + h c) / (2 m) the spring shows
+    2 ((1 + a) F - a m g) / (2 + a) where it should carry F.
+    """
+    spring, ball, load, own = _hung_by_pins(scene)
+    a = (h**2 * scene.stiffness[spring] + h * scene.damping[spring]) / (2.0 * scene.mass[ball])
+    part = own * a / (2.0 + a)
+    if not np.any(part >= OVERLOAD):
+        return None
+    k = int(np.argmax(part))
+    return Overload(int(spring[k]), int(ball[k]), float(load[k]), float(part[k]))
+
+
+def overload_step(scene: Scene) -> float:
+    """The longest step [s] of xpbd that leaves no spring to a body of elements with more than OVERLOAD too much."""
+    spring, ball, _, own = _hung_by_pins(scene)
+    k, c, m = scene.stiffness[spring], scene.damping[spring], scene.mass[ball]
+    acts = (own > OVERLOAD) & (k > 0.0)
+    a = 2.0 * OVERLOAD / (own[acts] - OVERLOAD)
+    return _shortest(2.0 * m[acts] * a / k[acts], c[acts] / k[acts])
+
+
+def _hung_by_pins(scene: Scene) -> tuple[NDArray[np.intp], NDArray[np.int32], Floats, Floats]:
+    """Springs from pins to balls that elements join, their free balls, their loads [N], and 1 - 2 m g / F of each: the springs at
+    pins of a body share its weight. Bodies with pins of their own are left out."""
+    n, g = scene.n_balls, float(np.linalg.norm(scene.gravity))
+    rows = [one.corners(scene) for one in ELEMENTS if one.is_implicit and one.acts(scene)]
+    elements = [row[:, [k, k + 1]] for row in rows for k in range(row.shape[1] - 1)]
+    if not elements or not scene.n_springs or g == 0.0:
+        nothing = np.zeros(0)
+        return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.int32), nothing, nothing
+    joined = np.zeros(n, dtype=bool)
+    joined[np.concatenate(elements)] = True
+    held = scene.pinned[scene.pairs].sum(axis=1) == 1
+    body = components(n, np.concatenate([scene.pairs[~scene.pinned[scene.pairs].any(axis=1)], *elements]))
+    free = np.where(scene.pinned[scene.pairs[:, 0]], scene.pairs[:, 1], scene.pairs[:, 0])
+    pins = np.bincount(body[scene.pinned], minlength=n) > 0
+    spring = np.flatnonzero(held & joined[free] & ~pins[body[free]] & (scene.stiffness > 0.0))
+    ball = free[spring]
+    load = (
+        g * (np.bincount(body, scene.mass, n) / np.maximum(np.bincount(body[free[held]], minlength=n), 1))[body[ball]]
+    )
+    return spring, ball, load, 1.0 - 2.0 * g * scene.mass[ball] / load
+
+
+def _shortest(area: Floats, time: Floats) -> float:
+    """The least h with h^2 + h time = area [s^2]; infinite where there is none."""
+    return float(np.min(0.5 * (np.sqrt(time**2 + 4.0 * area) - time), initial=np.inf))
+
+
+def _answer_time(scene: Scene) -> Floats:
+    """c / k (m,) [s] of springs; 0 of those without stiffness."""
+    k, c = scene.stiffness, scene.damping
+    return np.divide(c, k, out=np.zeros_like(k), where=k > 0)
 
 
 def _heavy(scene: Scene) -> NDArray[np.bool_]:
@@ -230,7 +306,7 @@ def _heavy(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _lags(scene: Scene) -> tuple[Floats, Floats]:
-    """Load (m,) [N] of springs, and the length [m/s^2] that xpbd leaves too much, over the step squared.
+    """Load (m,) [N] of springs, and the length [m/s^2] that xpbd leaves too much, over h^2 + h c / k.
 
     Between free balls the load is the weight of the heavier one. The springs at the pinned balls of a body share its weight,
     without that of the balls that hang on these pins themselves.

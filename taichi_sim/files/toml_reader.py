@@ -260,12 +260,13 @@ class Reader:
     def _looks(self, scene: Scene) -> None:
         """Check [[output.looks]]; textures lie beside the file."""
         shapes, colliders = [one.name for one in scene.objects], [one.label for one in scene.colliders if one.label]
+        sheets = [one.name for one in scene.objects if one.is_sheet]
         seen: list[Look] = []
         for k, look in enumerate(scene.output.get("looks") or ()):
             with self._at("output", "looks", k):
                 if isinstance(look.get("texture"), str):
                     look["texture"] = str(self._beside("texture", look["texture"]))
-                seen.append(Look.of_table(f"looks[{k}]", look, shapes, colliders, seen))
+                seen.append(Look.of_table(f"looks[{k}]", look, shapes, colliders, seen, sheets))
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 

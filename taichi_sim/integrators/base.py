@@ -42,9 +42,8 @@ class Integrator:
     `implicit_damping`: what `damping` gives depends on the step. `each_once`: it goes through the springs itself, each once, see
     kernels.springs.edge_blocks; `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what
     they find; `advance` runs one from the host, kernel by kernel, because inside a kernel only the outermost loops run in
-    parallel. `refines`: it reads what rounding took from places. `allocate` may add fields of the method's own. `pins`: moving
-    ones, or None. `kicks_first`: whether `before_move` does anything. `friction_part`: of a step, for which friction acts where
-    `moving` solves contacts.
+    parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None. `kicks_first`: whether `before_move`
+    does anything. `friction_part`: of a step, for which friction acts where `moving` solves contacts.
 
     A method has a `substep` and, where that expects more of the one before than contacts, a `prime`; or `parts` in place of both,
     each of which is compiled by itself where a kernel runs on one thread.
@@ -57,12 +56,16 @@ class Integrator:
     implicit_damping = False
     each_once = False
     in_turn = False
-    hosted = refines = False
+    hosted = False
     pins: Any = None
     friction_part = 1.0
 
     def fit(self, scene: Scene) -> None:
         """Choose what depends on the scene. Called first of all."""
+
+    def refines(self, scene: Scene) -> bool:
+        """True if steps of that scene read what rounding took from places."""
+        return False
 
     def damping(self, model: Model, h: float) -> NDArray:
         """Spring damping (m,) [N s/m] as this method wants it for substeps of h seconds."""

@@ -1,8 +1,12 @@
 """Base of the implicit methods."""
 
 from collections.abc import Callable, Sequence
+from numbers import Real
 from typing import Any
 
+import numpy as np
+
+from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import NUMPY_TYPES, Fields
 from taichi_sim.device.parts import PRIME, STEP, Part
@@ -10,6 +14,7 @@ from taichi_sim.forces.gas import Gases
 from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
 from taichi_sim.integrators.newton_cg import StageSolver
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["FRESH", "KNOWN", "STRUCK", "Implicit"]
 
@@ -28,7 +33,7 @@ class Implicit(Integrator):
     """
 
     each_once = True
-    hosted = refines = True
+    hosted = True
     stages = 1
     opening = 0
     part = 1.0
@@ -40,13 +45,16 @@ class Implicit(Integrator):
     finishing: Callable[..., list[Part]]
 
     def __init__(self, tolerance: float | None = None) -> None:
-        if tolerance is not None:
-            self.tolerance = tolerance
-        if not 0.0 < self.tolerance <= LARGEST_TOLERANCE:
-            says = (
-                f"it must be above 0 and at most {LARGEST_TOLERANCE}, or stages that were not solved could not be told"
-            )
-            raise ValueError(f"tolerance: {tolerance!r} is not allowed; {says}")
+        if tolerance is None:
+            return
+        if not isinstance(tolerance, (Real, np.number)) or not 0.0 < float(tolerance) <= LARGEST_TOLERANCE:
+            says = f"above 0 and at most {LARGEST_TOLERANCE}, or stages that were not solved could not be told"
+            raise SceneError("tolerance", tolerance, says)
+        self.tolerance = float(tolerance)
+
+    def refines(self, scene: Scene) -> bool:
+        """True."""
+        return True
 
     def allocate(self, fields: Fields) -> None:
         """The solver and its fields."""

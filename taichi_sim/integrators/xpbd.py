@@ -11,6 +11,8 @@ from taichi_sim.integrators.implicit_base import Implicit
 from taichi_sim.integrators.implicit_gas import GasConstraints
 from taichi_sim.kernels.springs import edge_blocks, law, padded_blocks, simd_batches
 from taichi_sim.kernels.vectors import unit
+from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.scene import Scene
 
 __all__ = ["XPBD"]
 
@@ -42,6 +44,10 @@ class XPBD(Implicit):
     relaxes = takes_gas = in_turn = True
     takes_springs = False
     tolerance = 3e-2
+
+    def refines(self, scene: Scene) -> bool:
+        """True where there are elements to solve for: springs read places alone."""
+        return any(one.is_implicit and one.acts(scene) for one in ELEMENTS)
 
     def allocate(self, fields: Fields) -> None:
         """`sum` [N s]: impulses of springs that act on old values. `start` [m/s]: velocities before forces changed them."""
@@ -143,7 +149,8 @@ class XPBD(Implicit):
         """Other forces, and springs there: elements start from where these lead. What energy the stage may give is judged by the
         velocities before both: by those after them, a body that only bears its load could gain."""
         for i in range(self.model.n):
-            self.solver.base[i] = self.ball[i]
+            self.begin_at(i, ti.Vector.zero(float, self.dim))
+            self.solver.base[i].v = self.ball[i].v
         self._kick_by_others(STEP, h, time)
         if ti.static(self.active):
             self.forces.flex(1.0)

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from taichi_sim.analysis.frame import Frame, frame_count
+from taichi_sim.analysis.keyframes_in_steps import inside_steps
 from taichi_sim.analysis.outcome import left_out
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import naming
@@ -153,7 +154,9 @@ def export(
             )
             at_touch = simulation.setup.at_touch
             others = left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
-            summary.left_out = list(others)
+            h = simulation.dt / simulation.substeps
+            kinks = inside_steps(simulation.scene, h, simulation.time) if simulation.parts.contacts.active else ()
+            summary.left_out = [*others, *kinks]
             summary.between = companion.between_frames(summary.step_error, summary.units)
         clock.charge("simulating")
     clock.charge("writing")

@@ -72,16 +72,16 @@ class Renderer:
             raise ValueError(f"subdivide: {subdivide!r} is not allowed; it must be 0, 1 or 2")
         if not 0 <= crease <= 180:
             raise ValueError(f"crease: {crease!r} is not allowed; it must be an angle from 0 to 180 degrees")
-        if stage not in STAGES:
-            raise ValueError(f"stage: {stage!r} is not allowed; it must be {', '.join(STAGES)}")
+        validation.one_of("stage", stage, STAGES)
         self._exposure = Exposure(shutter, aperture, exposures)
         require_depth(aperture, frame.dim)
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
         shapes = [one.name for one in frame.objects]
         colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]
+        sheets = [one.name for one in frame.objects if one.is_sheet]
         styles: list[Look] = []
         for k, one in enumerate(looks):
-            styles.append(Look.of_table(f"looks[{k}]", one, shapes, colliders, styles))
+            styles.append(Look.of_table(f"looks[{k}]", one, shapes, colliders, styles, sheets))
         backend.start()
         self.size = (width, height)
         self._painter: Any

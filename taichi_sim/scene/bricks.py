@@ -147,7 +147,8 @@ def _distinct(rows: Floats) -> tuple[Floats, NDArray[np.int64]]:
     """The rows that differ, sorted, and which of them each row is; many times faster than NumPy's `unique` of rows."""
     order = np.lexsort(rows.T[::-1])
     sorted_rows = rows[order]
-    first = np.append(True, np.any(sorted_rows[1:] != sorted_rows[:-1], axis=1))
+    first = np.ones(len(rows), dtype=bool)
+    first[1:] = np.any(sorted_rows[1:] != sorted_rows[:-1], axis=1)
     law = np.empty(len(rows), dtype=np.int64)
     law[order] = np.cumsum(first) - 1
     return sorted_rows[first], law

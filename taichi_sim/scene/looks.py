@@ -84,9 +84,11 @@ class Look:
         shapes: Collection[str],
         colliders: Collection[str],
         before: Sequence[Look] = (),
+        sheets: Collection[str] = (),
     ) -> Look:
-        """Make a look from a table of [[output.looks]], the names of shapes and colliders, and the looks of the tables
-        before. Raises SceneError that names `where`, the key and the value."""
+        """Make a look from a table of [[output.looks]], the names of shapes and colliders, the looks of the tables before,
+        and the names of the shapes that are rectangular sheets. Raises SceneError that names `where`, the key and the
+        value."""
         known = [f.name for f in fields(cls)]
         if not isinstance(given, Mapping):
             raise SceneError(where, given, "a table")
@@ -126,8 +128,13 @@ class Look:
         }
         if shares["opacity"] < 1 and look.of not in colliders:
             raise SceneError(f"{where}.opacity", look.opacity, says="is for colliders; a shape hides what is behind it")
-        if look.hem and look.of in colliders:
-            raise SceneError(f"{where}.hem", look.hem, says="is for cloth; a collider has no borders")
+        if look.hem and look.of not in sheets:
+            what = "a collider has no borders" if look.of in colliders else f"{look.of!r} is none"
+            raise SceneError(f"{where}.hem", look.hem, says=f"is for rectangular cloth; {what}")
+        if look.repeat is not None and look.pattern == "plain" and look.texture is None:
+            raise SceneError(
+                f"{where}.repeat", look.repeat, says="is of a pattern or a texture; give one, or leave it out"
+            )
         checked = cls(look.of, look.pattern, colour, look.texture, repeat, **shares)
         checked.sizes(where)
         return checked

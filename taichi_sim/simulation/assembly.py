@@ -544,7 +544,7 @@ def _is_serial(scene: Scene, settings: Settings, threads: int) -> bool:
 def compensates(scene: Scene, backend: Backend, integrator: Any) -> bool:
     """True if sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
     speed of explicit methods."""
-    return (_is_small(scene) or integrator.refines) and _rounds(scene, backend)
+    return (_is_small(scene) or integrator.refines(scene)) and _rounds(scene, backend)
 
 
 def _rounds(scene: Scene, backend: Backend) -> bool:

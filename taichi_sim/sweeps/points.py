@@ -90,10 +90,11 @@ class Runner:
         self.job = job
         self.simulation: Any = None
         self.made = 0  # simulations, since the start
+        self.waited = 0.0  # s, for what other workers compile
 
     def run(self, point: Point) -> Row:
         """A point, whatever becomes of it; a signal that ends the process is no matter of the point, and is passed on."""
-        start, made = time.perf_counter(), self.made
+        start, made, waited = time.perf_counter(), self.made, self.waited
         measures: dict[str, float] = {}
         error = ""
         with warnings.catch_warnings(record=True) as caught:
@@ -113,7 +114,7 @@ class Runner:
             measures=measures,
             error=_cut(error),
             warning=_cut(said),
-            wall=time.perf_counter() - start,
+            wall=time.perf_counter() - start - (self.waited - waited),
             compiled=self.made > made,
         )
 
@@ -150,16 +151,17 @@ class Runner:
             if self.job.apart:  # so that kernels of the next are found in the cache, and no memory is kept
                 backend.stop()
         if self.job.shared:
-            compile_once(kind_of(scene), self.job.known_by, lambda: self._rehearse(scene))
+            self.waited += compile_once(kind_of(scene), self.job.known_by, lambda: self._rehearse(scene))
         self.simulation = Simulation(scene, **self.job.settings)
         self.made += 1
         return self.simulation
 
     def _rehearse(self, scene: Scene) -> None:
-        """Run two steps and read what is measured, by numbers alone: functions of the user's may count how often they run."""
+        """Run two steps from where the scene is and read what is measured, by numbers alone: functions of the user's may count
+        how often they run."""
         from taichi_sim.simulation.simulation import Simulation
 
-        with Simulation(scene, **self.job.settings) as simulation:
+        with Simulation(scene, **{**self.job.settings, "settle": None}) as simulation:
             numbers = Measures(self.job.measures.numbers, {}, every_frame=True)
             numbers.run(simulation, 2.0 * simulation.dt, 1.0 / simulation.dt)
 

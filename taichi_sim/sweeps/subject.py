@@ -209,7 +209,9 @@ def _jitter(scene: Scene, seed: int) -> None:
     """Displace each loose ball a little."""
     loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
     if not loose.any():
-        says = "mean nothing here: scene() takes no argument `seed`, and there is neither a pile nor a loose ball"
+        says = (
+            "would all give one result: scene() takes no argument `seed`, and there is neither a pile nor a loose ball"
+        )
         raise SceneError("seeds", says=says)
     chance = np.random.default_rng(seed).uniform(-1.0, 1.0, (scene.n_balls, scene.dim))
     scene.set_balls(loose, position=scene.position[loose] + JITTER * scene.radius[loose, None] * chance[loose])

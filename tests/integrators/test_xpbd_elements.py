@@ -8,7 +8,7 @@ from physics_support import F64, simulate
 import taichi_sim as ts
 from taichi_sim.analysis.element_rates import Declared
 from taichi_sim.analysis.methods import named
-from taichi_sim.analysis.stability import explicit_parts, stability
+from taichi_sim.analysis.stability import OVERLOAD, explicit_parts, overload_step, overloaded_spring, stability
 from taichi_sim.integrators import XPBD, ImplicitEuler
 
 pytestmark = pytest.mark.long_in("f32")
@@ -181,3 +181,42 @@ def test_an_element_of_a_user_is_solved_for():
             v = (v - h * 2.0 * k / mass * x) / (1.0 + h * h * 2.0 * k / mass)
             x = x + h * v
             assert sim.position[1] - sim.position[0] == pytest.approx(x, abs=1e-8 if F64 else 1e-3)
+
+
+@pytest.mark.once
+def test_large_nets_of_springs_alone_do_not_pay_for_digits_that_springs_do_not_read():
+    """Compensated sums of places take a tenth of the speed of large scenes."""
+    scene = ts.Scene(dim=2)
+    balls = scene.add_balls([[0.1 * k, 0.0] for k in range(4)], radius=0.01)
+    scene.add_springs([[balls[0], balls[1]]], stiffness=10.0)
+    assert not XPBD().refines(scene)
+    scene.add_bending([balls], weights=[[1.0, -2.0, 1.0, 0.0]], stiffness=10.0)
+    assert XPBD().refines(scene)
+
+
+@pytest.mark.slow
+def test_what_springs_show_that_hold_a_body_of_bricks():
+    """A block of bricks hangs on two damped springs: the sum of their tensions is what the warning says, above its weight."""
+    h, k, scene = 1 / 120, 700.0, ts.Scene(dim=2, gravity=(0.0, -G))
+    block = ts.shapes.jelly(
+        scene, size=(0.3, 0.2), resolution=(4, 3), density=200, young_modulus=1e5, poisson_ratio=0.3
+    )
+    x = scene.position[block.balls]
+    top = block.balls[
+        np.isclose(x[:, 1], x[:, 1].max()) & (np.isclose(x[:, 0], x[:, 0].min()) | np.isclose(x[:, 0], x[:, 0].max()))
+    ]
+    pins = scene.add_balls(scene.position[top] + [0.0, 0.4], radius=0.01, pinned=True)
+    scene.attach(pins, top, stiffness=k, damping=40.0)
+    found, weight = overloaded_spring(scene, h), G * scene.mass[block.balls].sum()
+    assert found.load == pytest.approx(weight / 2)
+    assert overloaded_spring(scene, 0.99 * overload_step(scene)) is None
+    assert overloaded_spring(scene, 1.01 * overload_step(scene)).part == pytest.approx(OVERLOAD, rel=0.02)
+    with pytest.warns(
+        UserWarning, match=f"xpbd: spring {found.spring} carries .* and shows about {found.part:.0%} more"
+    ):
+        sim = ts.Simulation(scene, integrator="xpbd", dt=h, substeps=1, contacts="off")
+    with sim:
+        sim.run(3.0)
+        shown = k * (np.linalg.norm(sim.position[top] - sim.position[pins], axis=1) - 0.4).sum()
+    assert shown == pytest.approx((1.0 + found.part) * weight, rel=2e-3)
+    assert found.part > 0.1

@@ -280,3 +280,20 @@ def test_extremes_that_agree_by_luck_are_no_better_known():
     first = [0.0, 5.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     other = [0.0, 1.0, 5.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
     assert companion._off([first, other], companion._Order(2.0), 0.0)[2] == pytest.approx(4.0 * 4.0 / 3.0 + 5.0 / 4.0)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("stops", [0.3021, 0.3])
+def test_a_keyframe_inside_a_step_is_named(stops):
+    """A ball on a floor that rises by 2 m/s and stops: all runs let it go at an end of a step, by up to h v aside."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    path = [(0, (0, 0)), (stops, (0, 2.0 * stops))]
+    scene.add_collider(ts.Box(center=(0, -0.2), size=(3, 0.4), path=path))
+    scene.add_probe("lift", "position", balls=scene.add_balls([[0, 0.1]], radius=0.1))
+    with ts.Simulation(scene, integrator="verlet", dt=0.01, substeps=1) as sim:
+        summary = export(sim, None, fps=20, duration=0.4, error=True)
+    stated, after = summary.step_error.probes["lift.y"][0], 0.4 - stops
+    off = abs(summary.probes["lift.y"][0] - (0.1 + 2.0 * 0.4 - G * after**2 / 2))
+    said = "\n".join(summary.lines())
+    assert ("keyframes inside a step (collider 0 at 0.3021 s" in said) == (stops != 0.3)
+    assert off <= stated + 0.01 * 2.0 + 1e-5

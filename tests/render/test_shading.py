@@ -301,12 +301,13 @@ def test_stripes_and_checks_on_a_cloth():
 def test_a_weave_has_threads_near_by_and_their_mean_far_away():
     frame, seen = upright(), {}
     for pattern in ("plain", "weave"):
-        look = {"of": "flag", "pattern": pattern, "repeat": 20}
+        look = {"of": "flag", "pattern": pattern} | ({} if pattern == "plain" else {"repeat": 20})
         for distance in (4.0, 80.0):
             camera = Camera(eye=(0.0, 0.0, distance), target=(0.0, 0.0, 0.0), fov=120.0 / distance)
             image = linear(picture(frame, camera=camera, shadow=False, looks=[look | {"hem": 0.0}]))
             seen[pattern, distance] = image[30:60, 60:100].mean(axis=2)
-        look["repeat"] = 1000
+        if pattern != "plain":
+            look["repeat"] = 1000
         seen[pattern, "fine"] = linear(picture(frame, camera=FRONT, shadow=False, looks=[look]))[30:60, 66:94]
     near, plain = seen["weave", 4.0], seen["plain", 4.0]
     assert near.std() > 0.08
@@ -540,6 +541,7 @@ def test_looks_that_are_refused(tmp_path):
         ({"of": "flag", "opacity": 0.5}, "is for colliders"),
         ({"of": "flag", "translucency": 1.5}, r"looks\[0\].translucency: 1.5"),
         ({"of": "flag", "hem": 0.6}, r"looks\[0\].hem: 0.6"),
+        ({"of": "flag", "repeat": 3}, r"looks\[0\].repeat: 3 is of a pattern or a texture"),
     ):
         with pytest.raises(SceneError, match=message):
             Renderer(frame, size=SIZE, looks=[look])
@@ -552,5 +554,13 @@ def test_looks_that_are_refused(tmp_path):
         file.write_text(text + more)
         with pytest.raises(SceneError, match=message):
             load_scene(file)
+    file.write_text(text.replace("cloth", "jelly") + "hem = 0.07")
+    with pytest.raises(
+        SceneError, match=r"line 7: output\.looks\[0\]\.hem: 0.07 is for rectangular cloth; 'flag' is none"
+    ):
+        load_scene(file)
+    for stage in (None, ["day"]):
+        with pytest.raises(SceneError, match=r"stage: .* is not allowed; it must be one of 'day', "):
+            Renderer(frame, size=SIZE, stage=stage)
     file.write_text(text + 'pattern = "checks"')
     assert load_scene(file).output["looks"] == ({"of": "flag", "pattern": "checks"},)

@@ -66,6 +66,25 @@ def test_what_xpbd_leaves_too_long_by_the_weight_at_a_pin():
     assert deep.depth == pytest.approx(1.02**2 * SINKING * 0.1, rel=1e-3)
 
 
+def test_what_damping_of_a_spring_adds_to_what_xpbd_leaves_it_too_long():
+    """F (h^2 + h c / k) W / 2; a heavy ball under a light one on damped springs at rest."""
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    b = scene.add_balls([[0, 0], [0, -0.4], [0, -0.8]], radius=0.01, mass=[1.0, 0.04, 1.5], pinned=[0])
+    scene.add_springs([(b[0], b[1]), (b[1], b[2])], stiffness=600.0, damping=15.0)
+    h = 1 / 200
+    found = sinking_spring(scene, h)
+    assert found.spring == 1
+    assert found.depth == pytest.approx(15.0 * (h**2 + h * 15.0 / 600.0) * (1 / 0.04 + 1 / 1.5) / 2)
+    assert sinking_spring(scene, 0.98 * sinking_step(scene)) is None
+    assert sinking_spring(scene, 1.02 * sinking_step(scene)) is not None
+    with pytest.warns(UserWarning, match="too long"):
+        sim = ts.Simulation(scene, integrator="xpbd", dt=h, substeps=1)
+    with sim:
+        sim.run(8.0)
+        extra = sim.position[1, 1] - sim.position[2, 1] - 0.4 - 15.0 / 600.0
+    assert extra == pytest.approx(found.depth, rel=0.15)
+
+
 def test_surfaces_that_collide_close_by_at_most_their_thickness_in_a_substep():
     """Those that may fall by 1 m at 4.4 m/s are 8 mm thick."""
     free, folding = sheet(), sheet(surface_collision=True)

@@ -218,7 +218,7 @@ def test_loose_balls_take_a_seed_where_nothing_else_does(tmp_path):
     assert np.array_equal(a[0], b[0])
     assert 0 < np.abs(a - b)[1:].max() <= 1e-4
     scene.set_balls(pinned=True)
-    with pytest.raises(ts.SceneError, match="seeds: mean nothing here"):
+    with pytest.raises(ts.SceneError, match="seeds: would all give one result"):
         subject_of(scene, tmp_path / "s").scene({}, 1)
 
 

@@ -229,3 +229,15 @@ def test_a_floor_that_gives_back_all_speed_is_said_to_be_outside_of_this():
         scene.add_springs([balls], stiffness=1e5)
         reason = stability(scene, named("xpbd")).reason
         assert ("bounce at a restitution above 0.85 may gain energy" in reason) == (restitution > 0.85)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(("method", "least"), [("implicit_euler", 0.5), ("xpbd", 0.85)])
+def test_a_reason_does_not_deny_what_bounces_give(method, least):
+    """Where a warning says that bodies may gain energy by bounces, springs are not said to give none."""
+    for restitution in (least - 0.05, least + 0.05):
+        scene = ts.Scene(dim=3, gravity=(0, -G, 0))
+        wall = scene.add_material("m", restitution=restitution)
+        scene.add_springs([scene.add_balls([(0, 0, 0), (0, 2, 0)], radius=0.2, material=wall)], stiffness=1e4)
+        reason = stability(scene, named(method)).reason
+        assert ("springs give no energy but for bounces" in reason) == (restitution > least)
