@@ -176,11 +176,16 @@ def target_speed(before, forced, late_part, restitution, threshold, impacts: ti.
     if ti.static(not impacts):
         fast = ti.select(restitution > 0.0, ti.min(before, 0.0), 0.0 * before)
     result = ti.select(before > 0.0, fast, 0.0 * before)
-    if is_impact(before, forced, threshold):
+    closes = is_impact(before, forced, threshold)
+    if closes:
         result = fast
-        if ti.static(impacts):
-            if restitution > 0.0:
-                result = ti.max(0.0, before + rebound(restitution, before, 2.0 * late_part * forced))
+    if ti.static(impacts):
+        if restitution > 0.0:
+            bounced = before + rebound(restitution, before, 2.0 * late_part * forced)
+            if closes:
+                result = ti.max(0.0, bounced)
+            elif before > threshold:  # the reverse of what a surface on the other side asks for
+                result = ti.min(0.0, bounced)
     return result
 
 

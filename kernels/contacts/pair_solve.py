@@ -248,7 +248,7 @@ def normal_impulse(solver: ti.template(), i, j, c, u, before, how: ti.template()
     elif ti.static(solver.pairs.has_target):
         target = solver.pairs.contact[c].target
         if ti.static(solver.plan.limits_energy and how.stops_first):
-            target = ti.select(solver.pairs.contact[c].depth > 0.0, 0.0, target)
+            target = ti.select(solver.pairs.contact[c].depth > 0.0, ti.min(0.0, target), target)
     total = contact_law.normal_impulse(u, target, mass, before)
     if ti.static(solver.plan.soft):
         bias = solver.pairs.link[c].bias_velocity

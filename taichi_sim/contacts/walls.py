@@ -287,7 +287,9 @@ class Walls(Surfaces):
         elif gap > touch:
             if ti.static(impacts):
                 if not (target > 0.0 and u < there):  # it bounces within this step
-                    target = there
+                    # what leaves fast may come back as fast as from a bounce: less would add energy, and surfaces that
+                    # face each other could ask for what no velocity is
+                    target = ti.min(there, ti.select(u > self.threshold[0], target, 0.0))
             else:  # what bounces there is left alone by the solve that ends a step
                 target = ti.min(there, target)
         return target, role

@@ -261,6 +261,38 @@ def test_bullets_in_a_slit_go_on(contacts):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("contacts", RULES[:2])
+@pytest.mark.long_where(contacts="jacobi")
+def test_a_stick_far_away_gives_bullets_in_a_slit_nothing(contacts):
+    """A scene with a stick bounces at all contacts at once: walls that face each other asked a ball that touches another for
+    speeds that contradict each other, and each sweep over them made it faster."""
+    r, rng = 0.03, np.random.default_rng(3)
+    along, across = np.array([0.6, -0.8]), np.array([0.8, 0.6])
+    for restitution, gap in ((1.0, 2.8 * r), (0.7, 3.2 * r)):
+        scene = ts.Scene(dim=2, gravity=(3.0, -7.0))
+        scene.add_material("m", restitution=restitution)
+        scene.add_wall(across, 0.0, "m")
+        scene.add_wall(-across, -gap, "m")
+        scene.add_balls(np.outer(2.4 * r * np.arange(4.0), along) + 0.5 * gap * across, radius=r, material="m")
+        ends = np.outer([-42.0 * r, -41.0 * r], along) + 0.5 * gap * across
+        stick = scene.add_balls(ends, radius=0.2 * r, pinned=True, material="m")
+        scene.add_springs([stick], stiffness=1e3, collides=True)
+        start = scene.position
+        with simulate(scene, dt=H, substeps=1, contacts=contacts) as sim:
+            for _ in range(10):
+                x, v = start.copy(), np.zeros_like(start)
+                x[:4] += np.outer(rng.uniform(1.05 * r, gap - 1.05 * r, 4) - 0.5 * gap, across)
+                v[:4] = np.outer(rng.uniform(-1, 1, 4), along) + np.outer(rng.choice([-1, 1], 4), across)
+                v[:4] *= rng.uniform(50, 300, (4, 1))
+                sim.set_position(x)
+                sim.set_velocity(v)
+                energy = sim.energy().total
+                for _ in range(40):
+                    sim.step()
+                    assert sim.energy().total < 1.001 * energy
+
+
+@pytest.mark.slow
 def test_only_bullets_near_surfaces_wait_at_walls():
     """One far from all triangles loses no time where it turns; one whose way leads to a triangle turns there."""
     gap, behind = 0.7 * SLOT, 20.0
