@@ -82,7 +82,12 @@ def messages():
         if path.relative_to(ROOT / "taichi_sim").parts[0] not in ROOMS_OF_STUDIES:
             for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
                 if isinstance(node, ast.Call) and node.args:
-                    if ast.unparse(node.func) in ("BackendError", "UnstableError", "warnings.warn", "self._end"):  # of Retry
+                    if ast.unparse(node.func) in (
+                        "BackendError",
+                        "UnstableError",
+                        "warnings.warn",
+                        "self._end",
+                    ):  # of Retry
                         text = re.sub(r"(\.\.\.)+", "...", words(node.args[0]))
                         if re.search("[a-z]{3}", text.replace("report: ...: ...", "")):
                             yield text
