@@ -122,7 +122,9 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
         at.slot[place].gap = gap
         at.slot[place].normal = n
         if ti.static(at.moves):
+            # what slides does not follow the matter inward: along n the chord is left to `following`, which knows its way
             velocity = geometry.chord_velocity(walls.colliders, k, point, h)
+            velocity += n.dot(geometry.surface_velocity(walls.colliders, k, point, 0.0) - velocity) * n
             at.slot[place].velocity = velocity
             at.slot[place].lost = n.dot(geometry.past_velocity(walls.colliders, k, point) - velocity)
 

@@ -97,6 +97,17 @@ class Surfaces:
         return u
 
     @ti.func
+    def following(self, x, v, i, k, h):
+        """Speed away from contact k with which ball i at x, sliding along it for h seconds with the velocity v, is neither in it
+        nor off it: 0 where it is plane."""
+        speed = 0.0 * self.model.radius[i]
+        if ti.static(self.has_colliders):
+            if k >= self.planes.count:
+                slot = k - self.planes.count
+                speed = self.collider_contacts.following(x, v, self.relative(v, i, k), i, slot, h)
+        return speed
+
+    @ti.func
     def turned_along(self, q, i, k, time):
         """The vector q turned as contact k of ball i turns in `time` seconds: half a step for the speed of the ball's surface.
         `relative` takes the chord of the place where the ball would be held, which one that rolls leaves on its way."""

@@ -256,9 +256,8 @@ class Walls(Surfaces):
                     target, role = -ti.max(0.0, gap) * solver.rate[0], RESTING
                 self.contact[c].role = role
                 if ti.static(self.has_colliders and impacts):
-                    if k >= self.planes.count and target == 0.0 and self.is_solved(c) and role != REACHABLE:
-                        slot, away = k - self.planes.count, self.relative(v, i, k)
-                        target = self.collider_contacts.following(ball[i].x, v, away, i, slot, 1.0 / solver.rate[0])
+                    if target == 0.0 and self.is_solved(c) and role != REACHABLE:
+                        target = self.following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
                 self.contact[c].target = target + lost
                 if ti.static(starts):
                     p = self.contact[c].impulse * n

@@ -49,6 +49,7 @@ class HeldBalls:
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
         self.rubs, self.eps = model.has_friction, 2.0**-52 if fields.real == ti.f64 else 2.0**-23
+        self.rate = method.contacts.rate  # 1/s
         walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
@@ -86,8 +87,10 @@ class HeldBalls:
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
                 if self.walls.contact[c].role == RESTING:
-                    holds = self.walls.contact[c].impulse > 0.0 or approach > 0.0
-                    self.contact[c].target = 0.0
+                    self.contact[c].target = self.walls.following(
+                        self.walls.state.ball[i].x, start.v + change, i, k, 1.0 / self.rate[0]
+                    )
+                    holds = self.walls.contact[c].impulse > 0.0 or approach > -self.contact[c].target
                 elif meets:
                     ahead = ti.max(0.0, gap) + n.dot(start.x - self.walls.state.ball[i].x)
                     self.contact[c].target = -ahead / s
