@@ -87,7 +87,8 @@ def test_a_letter_that_falls_keeps_its_volume():
 
 @pytest.mark.slow
 def test_a_filled_ball_comes_back_from_being_squeezed_flat():
-    """A piston presses it to a hundredth of its height, so that bricks turn inside out, and leaves: after 1.8 s none is."""
+    """A piston presses it to a hundredth of its height, so that bricks turn inside out, and leaves: when most of what it
+    did is damped away none is."""
     scene = Scene(dim=3)
     scene.add_wall((0, 1, 0))
     shapes.jelly(scene, mesh=icosphere(2), spacing=0.4, young_modulus=1e5, position=(0, 1.15, 0), radius=0.02)
@@ -97,6 +98,6 @@ def test_a_filled_ball_comes_back_from_being_squeezed_flat():
         sim.run(0.24)
         assert np.ptp(sim.position[:, 1]) < 0.15
         assert inverted(scene, sim.position) > 0
-        sim.run(1.76)
+        sim.run(5.76)  # rounding alone decides whether the last one turns back after 2 or after 4 s
         assert inverted(scene, sim.position) == 0
         assert np.ptp(sim.position, axis=0) == pytest.approx(np.ptp(scene.position, axis=0), rel=0.3)
