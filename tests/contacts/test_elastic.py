@@ -1,4 +1,4 @@
-"""What bounces without loss keeps its energy: forces that change within the step of an impact, bodies of springs and elements,
+"""Elastic bounces keep the energy: forces that change within the step of an impact, bodies of springs and elements,
 several impacts in a step, by impacts in turn and by iterations over all contacts."""
 
 import numpy as np

@@ -126,7 +126,7 @@ def test_stiff_bodies_slide_down_an_incline_iff_it_is_steeper_than_friction(meth
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [ImplicitEuler])
 def test_friction_gives_stiff_bodies_no_energy(method):
-    """What a stage left of momentum shook stiff bodies, and friction was that of what it had left."""
+    """Stiff bodies with friction gain no energy from the momentum that the solution of a stage lacks."""
     place = 0.08 * np.stack(np.meshgrid(np.arange(4.0), np.arange(2.0), indexing="ij"), axis=-1).reshape(-1, 2)
     i, j = np.triu_indices(8, 1)
     near = np.linalg.norm(place[i] - place[j], axis=1) < 0.12

@@ -128,7 +128,7 @@ SCENES = {
 
 
 def assert_alike(one, other, where):
-    """The same values all the way down, of arrays, lists, mappings and dataclasses."""
+    """Assert that two values are equal all the way down: arrays, lists, mappings and dataclasses."""
     if dataclasses.is_dataclass(one):
         for name in (field.name for field in dataclasses.fields(one)):
             if name != "kind" or not where.startswith("objects"):  # a name that was chosen by it is then a given one

@@ -234,7 +234,7 @@ def test_a_floor_that_gives_back_all_speed_is_said_to_be_outside_of_this():
 @pytest.mark.once
 @pytest.mark.parametrize(("method", "least"), [("implicit_euler", 0.5), ("xpbd", 0.85)])
 def test_a_reason_does_not_deny_what_bounces_give(method, least):
-    """Where a warning says that bodies may gain energy by bounces, springs are not said to give none."""
+    """A reason does not say that springs give no energy where a warning says that bounces may."""
     for restitution in (least - 0.05, least + 0.05):
         scene = ts.Scene(dim=3, gravity=(0, -G, 0))
         wall = scene.add_material("m", restitution=restitution)
