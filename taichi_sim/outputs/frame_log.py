@@ -29,7 +29,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import lock, sweep
 from taichi_sim.common.differences import differences, named
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.own_folder import LOCK, emptied, require_own
+from taichi_sim.common.own_folder import LOCK, emptied, is_fresh, require_own
 from taichi_sim.outputs.frame_records import FrameRecords, PicturePacker, unpacked_pictures
 from taichi_sim.outputs.kept_files import checksum, judged, read_kept, write_kept
 from taichi_sim.outputs.records import Records
@@ -300,6 +300,10 @@ class FrameLog:
     def delete(self) -> None:
         """The output is complete, or nothing of it is worth keeping. It takes no more frames."""
         self._is_left = True
+        with suppress(OSError):  # another run begins it
+            if self.folder.is_dir() and is_fresh(self.folder):  # left by a run that was killed as it removed the folder
+                self._take()
+                self.resumes = True
         if self.resumes:
             self._remove()
             self.resumes = False

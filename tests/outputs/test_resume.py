@@ -449,6 +449,18 @@ def test_what_is_complete_is_left_as_it_is(tmp_path, name):
     assert {p: (p.read_bytes(), p.stat().st_ino) for p in tmp_path.rglob("*") if p.is_file()} == before
 
 
+@pytest.mark.parametrize("name", ["x.npz", "x.csv", "frames/"])
+def test_what_a_run_leaves_that_is_killed_as_it_removes_its_folder_goes(tmp_path, name):
+    run(tmp_path, name)
+    whole = files(tmp_path)
+    kept = tmp_path / name / ".resume" if name == "frames/" else tmp_path / f".{name}.resume"
+    kept.mkdir()
+    (kept / "lock").touch()  # the last file that is deleted
+    with pytest.warns(UserWarning, match="is complete, and is left as it is"):
+        run(tmp_path, name, resume=True)
+    assert (files(tmp_path), kept.exists()) == (whole, False)
+
+
 @pytest.mark.parametrize("duration", [0.5, 0.9])
 def test_a_users_own_output_that_is_complete_is_neither_discarded_nor_simulated(tmp_path, duration):
     class Tidy(Own):
