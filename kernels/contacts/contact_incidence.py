@@ -46,16 +46,16 @@ def sort_entries(contacts: ti.template(), i):
 def count_entries(c, contacts: ti.template()):
     """Contact c is an entry of each of its balls. `number` was 0 before the first."""
     for k in ti.static(range(contacts.balls_per_contact)):
-        contacts.number[contacts.ball_of(contacts.balls_per_contact * c + k)] += 1
+        contacts.number[contacts.ball_of(c, k)] += 1
 
 
 @ti.func
 def enter(c, contacts: ti.template()):
     """Put contact c into the list of each of its balls."""
     for k in ti.static(range(contacts.balls_per_contact)):
-        entry = contacts.balls_per_contact * c + k
-        i = contacts.ball_of(entry)
-        contacts.entry[contacts.first[i] + ti.atomic_add(contacts.number[i], 1)] = entry
+        i = contacts.ball_of(c, k)
+        place = contacts.first[i] + ti.atomic_add(contacts.number[i], 1)
+        contacts.entry[place] = contacts.balls_per_contact * c + k
 
 
 @ti.func

@@ -48,6 +48,30 @@ def soft_impulse(u, target, mass, kept):
 
 
 @ti.func
+def further_impulse(model: ti.template(), law, n, u, slip, target, mass, tangential_mass, impulse, tangential, threshold,
+                    time):  # fmt: skip
+    """Further impulse [N s] of a rigid contact, a row of the solve, and its new accumulated parts: along the normal n, and the
+    Coulomb part. u, slip [m/s]: relative velocity sum g_i v_i, and of the surfaces, which spin; mass, tangential_mass [kg]: what
+    its balls oppose to an impulse along n, and along the surfaces. Viscous friction acts for `time` seconds."""
+    total = normal_impulse(u.dot(n), target, mass, impulse)
+    p = (total - impulse) * n
+    if ti.static(model.has_friction):
+        change, tangential_now = friction_impulse(
+            model, law, n, u, slip, mass, tangential_mass, tangential, total, threshold, time
+        )
+        tangential = tangential_now
+        p += change
+    return p, total, tangential
+
+
+@ti.func
+def push_out(depth, radius, away):
+    """Distance [m] by which the position correction of a step separates what overlaps by `depth` [m]: a part of what is beyond
+    the slop and does not part by `away` [m] on its own. radius [m]: of the smaller one."""
+    return PUSH_OUT * ti.max(0.0, depth - CORRECTION_SLOP * radius - ti.max(0.0, away))
+
+
+@ti.func
 def over_relaxation(cosine):
     """Gain of impulses of two contacts of one ball, by the cosine between their normals, with which sweeps in turn converge
     fastest (Young 1954); below 2, so that none gains energy."""

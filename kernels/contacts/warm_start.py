@@ -76,11 +76,11 @@ def store_contact(c, sticks: ti.template()):
 
 
 @ti.func
-def forget(sticks: ti.template(), c, n):
+def forget(contacts: ti.template(), c, n):
     """Clear what contact c, with the normal n, has accumulated."""
-    sticks.contact[c].impulse = 0.0
-    if ti.static(sticks.model.has_friction):
-        sticks.contact[c].tangential_impulse = 0.0 * n
+    contacts.contact[c].impulse = 0.0
+    if ti.static(contacts.model.has_friction):
+        contacts.contact[c].tangential_impulse = 0.0 * n
 
 
 @ti.func
@@ -96,17 +96,17 @@ def recall(sticks: ti.template(), s, c, n):
 
 
 @ti.func
-def start(sticks: ti.template(), solver: ti.template(), c, u, n):
+def start(contacts: ti.template(), solver: ti.template(), c, u, n):
     """Contact c, whose speed along the normal is u, starts with what it accumulated; nothing presses any more what leaves
     fast."""
-    if ti.static(not sticks.plan.warm_starts) or u > solver.threshold[0]:
-        forget(sticks, c, n)
-    if ti.static(sticks.plan.warm_starts):
-        sticks.contact[c].starting_impulse = sticks.contact[c].impulse
-        sticks.contact[c].gained_speed = ti.max(solver.threshold[0], sticks.contact[c].last_speed - u)
-        sticks.applied_impulse[c] = sticks.contact[c].impulse * n
-        if ti.static(sticks.model.has_friction):
-            sticks.applied_impulse[c] += sticks.contact[c].tangential_impulse
+    if ti.static(not contacts.warm_starts) or u > solver.threshold[0]:
+        forget(contacts, c, n)
+    if ti.static(contacts.warm_starts):
+        contacts.contact[c].starting_impulse = contacts.contact[c].impulse
+        contacts.contact[c].gained_speed = ti.max(solver.threshold[0], contacts.contact[c].last_speed - u)
+        contacts.applied_impulse[c] = contacts.contact[c].impulse * n
+        if ti.static(contacts.model.has_friction):
+            contacts.applied_impulse[c] += contacts.contact[c].tangential_impulse
 
 
 @ti.func
