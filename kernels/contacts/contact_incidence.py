@@ -38,8 +38,15 @@ def list_entries(contacts: ti.template()):
 
 @ti.func
 def sort_entries(contacts: ti.template(), i):
-    """Put the list of ball i in order."""
-    sort(contacts, contacts.first[i], contacts.first[i] + contacts.number[i])
+    """Put the list of ball i in order. Insertion sort: lists are short."""
+    first = contacts.first[i]
+    for a in range(first + 1, first + contacts.number[i]):
+        value = contacts.entry[a]
+        b = a - 1
+        while b >= first and contacts.comes_after(contacts.entry[b], value):
+            contacts.entry[b + 1] = contacts.entry[b]
+            b -= 1
+        contacts.entry[b + 1] = value
 
 
 @ti.func
@@ -56,15 +63,3 @@ def enter(c, contacts: ti.template()):
         i = contacts.ball_of(c, k)
         place = contacts.first[i] + ti.atomic_add(contacts.number[i], 1)
         contacts.entry[place] = contacts.balls_per_contact * c + k
-
-
-@ti.func
-def sort(contacts: ti.template(), first, last):
-    """Insertion sort: lists are short."""
-    for a in range(first + 1, last):
-        value = contacts.entry[a]
-        b = a - 1
-        while b >= first and contacts.comes_after(contacts.entry[b], value):
-            contacts.entry[b + 1] = contacts.entry[b]
-            b -= 1
-        contacts.entry[b + 1] = value
