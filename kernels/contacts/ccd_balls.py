@@ -9,6 +9,7 @@ run through by a third.
 
 from taichi_sim.kernels.contacts import bent_paths, touch_times
 from taichi_sim.kernels.contacts.pairs import may_touch
+from taichi_sim.kernels.contacts.parabola import crossing
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
 from taichi_sim.kernels.contacts.sticks import may_touch as may_touch_stick
@@ -268,9 +269,9 @@ def time_of_stick_touch(solver: ti.template(), ball: ti.template(), i, one, two)
             until = ti.min(until, bent_paths.next_change(solver, two, t))
             for which in ti.static(range(2)):
                 end = one if ti.static(which == 0) else two
-                closing = n.dot(present_motion(solver, end, t) - u)
-                if closing > 0.0:
-                    until = ti.min(until, t + (n.dot(x - path(solver, ball, end, t)) - distance) / closing)
+                gap = n.dot(x - path(solver, ball, end, t)) - distance
+                speed = n.dot(u - present_motion(solver, end, t))
+                until = ti.min(until, t + crossing(gap, speed, 0.0 * t, 1.0 + 0.0 * t))
             t = until
             n, d = from_stick(solver, ball, i, one, two, t)
     return ti.min(1.0, t)

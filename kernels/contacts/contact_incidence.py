@@ -38,33 +38,28 @@ def list_entries(contacts: ti.template()):
 
 @ti.func
 def sort_entries(contacts: ti.template(), i):
-    """Put the list of ball i in order."""
-    sort(contacts, contacts.first[i], contacts.first[i] + contacts.number[i])
-
-
-@ti.func
-def count_entries(c, contacts: ti.template()):
-    """Contact c is an entry of each of its balls. `number` was 0 before the first."""
-    for k in ti.static(range(contacts.balls_per_contact)):
-        contacts.number[contacts.ball_of(contacts.balls_per_contact * c + k)] += 1
-
-
-@ti.func
-def enter(c, contacts: ti.template()):
-    """Put contact c into the list of each of its balls."""
-    for k in ti.static(range(contacts.balls_per_contact)):
-        entry = contacts.balls_per_contact * c + k
-        i = contacts.ball_of(entry)
-        contacts.entry[contacts.first[i] + ti.atomic_add(contacts.number[i], 1)] = entry
-
-
-@ti.func
-def sort(contacts: ti.template(), first, last):
-    """Insertion sort: lists are short."""
-    for a in range(first + 1, last):
+    """Put the list of ball i in order. Insertion sort: lists are short."""
+    first = contacts.first[i]
+    for a in range(first + 1, first + contacts.number[i]):
         value = contacts.entry[a]
         b = a - 1
         while b >= first and contacts.comes_after(contacts.entry[b], value):
             contacts.entry[b + 1] = contacts.entry[b]
             b -= 1
         contacts.entry[b + 1] = value
+
+
+@ti.func
+def count_entries(c, contacts: ti.template()):
+    """Contact c is an entry of each of its balls. `number` was 0 before the first."""
+    for k in ti.static(range(contacts.balls_per_contact)):
+        contacts.number[contacts.ball_of(c, k)] += 1
+
+
+@ti.func
+def enter(c, contacts: ti.template()):
+    """Put contact c into the list of each of its balls."""
+    for k in ti.static(range(contacts.balls_per_contact)):
+        i = contacts.ball_of(c, k)
+        place = contacts.first[i] + ti.atomic_add(contacts.number[i], 1)
+        contacts.entry[place] = contacts.balls_per_contact * c + k

@@ -48,6 +48,29 @@ def soft_impulse(u, target, mass, kept):
 
 
 @ti.func
+def further_impulse(model: ti.template(), law, n, u, slip, target, mass, tangential_mass, impulse, tangential, threshold,
+                    time):  # fmt: skip
+    """Further impulse [N s] of a rigid contact, a row of the solve, and its new accumulated parts: along the normal n, and the
+    Coulomb part. u, slip [m/s]: relative velocity sum g_i v_i, and of the surfaces, which spin; mass, tangential_mass [kg]: what
+    its balls oppose to an impulse along n, and along the surfaces. Viscous friction acts for `time` seconds."""
+    total = normal_impulse(u.dot(n), target, mass, impulse)
+    p = (total - impulse) * n
+    if ti.static(model.has_friction):
+        viscous = viscous_share(model, law, total, mass, threshold, u, time)
+        change, now = tangential_impulse(model, slip, n, tangential_mass, tangential, law.friction * total, viscous)
+        tangential = now
+        p += change
+    return p, total, tangential
+
+
+@ti.func
+def push_out(depth, radius, away):
+    """Distance [m] by which the position correction of a step separates what overlaps by `depth` [m]: a part of what is beyond
+    the slop and does not part by `away` [m] on its own. radius [m]: of the smaller one."""
+    return PUSH_OUT * ti.max(0.0, depth - CORRECTION_SLOP * radius - ti.max(0.0, away))
+
+
+@ti.func
 def over_relaxation(cosine):
     """Gain of impulses of two contacts of one ball, by the cosine between their normals, with which sweeps in turn converge
     fastest (Young 1954); below 2, so that none gains energy."""
@@ -69,22 +92,15 @@ def closing_speed(u, from_forces):
 
 
 @ti.func
-def impact_impulse(model: ti.template(), law, n, u, slip, mass, tangential_mass, total, threshold, time):
-    """Impulse [N s] of an impact of `total` [N s] along the normal n, with friction; see `friction_impulse`."""
-    p = total * n
-    if ti.static(model.has_friction):
-        change, _ = friction_impulse(model, law, n, u, slip, mass, tangential_mass, 0.0 * p, total, threshold, time)
-        p += change
+def impact_impulse(model: ti.template(), law, n, u, forced, slip, mass, tangential_mass, threshold, time):
+    """Impulse [N s] of an impact, of whose approach speed forces gave `forced` [m/s], see `rebound`: a row that has accumulated
+    nothing and comes to the speed that is thrown back. For the others see `further_impulse`."""
+    before, none = u.dot(n), 0.0 * u
+    target = before + rebound(law.restitution, before, forced)
+    p, _total, _tangential = further_impulse(
+        model, law, n, u, slip, target, mass, tangential_mass, 0.0 * mass, none, threshold, time
+    )
     return p
-
-
-@ti.func
-def friction_impulse(model: ti.template(), law, n, u, slip, mass, tangential_mass, accumulated, total, threshold, time):
-    """Change of the tangential impulse [N s] of a contact that presses with `total` [N s], and its new Coulomb part, so far
-    `accumulated`. u, slip [m/s]: relative velocity of the bodies, and of their surfaces, which spin; mass, tangential_mass [kg]:
-    what they oppose to an impulse along the normal n, and along the surfaces. Viscous friction acts for `time` seconds."""
-    share = viscous_share(model, law, total, mass, threshold, u, time)
-    return tangential_impulse(model, slip, n, tangential_mass, accumulated, law.friction * total, share)
 
 
 @ti.func

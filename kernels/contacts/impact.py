@@ -10,9 +10,8 @@ speed u would gain h^2 k u^2 / 6 on average, as the force changes with its way.
 """
 
 from taichi_sim.kernels.contacts import bent_paths, contact_law, surface_ways
-from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, first_collider
+from taichi_sim.kernels.contacts.ccd_colliders import NOTHING, UNKNOWN_WAY, first_collider
 from taichi_sim.kernels.contacts.colliders import surface_velocity
-from taichi_sim.kernels.contacts.contact_law import decayed, rebound
 from taichi_sim.kernels.contacts.kinds import RESTING
 from taichi_sim.kernels.contacts.parabola import crossing
 from taichi_sim.kernels.vectors import cross, lever, zero_scalar_in_2d
@@ -57,25 +56,24 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
     rests = is_caught(law, u, press, threshold, h)
     j = -u
     if -u > threshold and not rests:
-        j = rebound(law.restitution, u, 0.0 * u)
+        j = contact_law.rebound(law.restitution, u, 0.0 * u)
     after = v + j * n
     rest = a
     if rests:
         rest = a + press * n
         j += press * remaining
     if ti.static(walls.model.has_friction):
-        t = v - u * n
-        sideways = 0.0 * u + 1.0
+        slip, sideways = v, 0.0 * u + 1.0
         if ti.static(walls.model.spins):
-            t -= lever(walls.state.spin[i], n)
+            slip -= lever(walls.state.spin[i], n)
             sideways = walls.model.sideways(i)
-        speed = t.norm()
-        if speed > 0.0:
-            viscous = ti.select(-u > threshold, decayed(law.viscous_friction * h), 0.0 * u)
-            change = ti.min(sideways * speed, viscous * sideways * speed + law.friction * j) / speed * t
-            after -= change
-            if ti.static(walls.model.spins):
-                walls.state.spin[i] = walls.state.spin[i] + walls.model.spin_response(i) * cross(n, change)
+        viscous = ti.select(-u > threshold, contact_law.decayed(law.viscous_friction * h), 0.0 * u)
+        change, _ = contact_law.tangential_impulse(
+            walls.model, slip, n, sideways, 0.0 * v, law.friction * j, viscous
+        )  # of a unit mass
+        after += change
+        if ti.static(walls.model.spins):
+            walls.state.spin[i] = walls.state.spin[i] - walls.model.spin_response(i) * cross(n, change)
     return after, rest, rests
 
 
@@ -132,18 +130,23 @@ def surface(walls: ti.template(), i, key, x, after):
 
 
 @ti.func
-def hit_collider(walls: ti.template(), i, key, x, v, a, after, threshold, h):
-    """Velocity and acceleration of ball i after it met a collider `after` seconds into the step, whether it rests on it, and
-    the normal there."""
-    n, own = surface(walls, i, key, x, after)
-    law = walls.law_of_material(i, walls.colliders.shape[key // walls.colliders.faces].surface)
-    u = n.dot(v - own)
-    speed, pull = v, a
-    rests = True  # what does not approach
-    if u < 0.0:
-        speed, pull, rests = bounce(walls, i, n, law, v - own, a, threshold, h, h - after)
-        speed += own
-    return speed, pull, rests, n
+def met_surface(walls: ti.template(), i, hit, key, x, after):
+    """Number of the collider of a key that ball i at x meets `after` seconds into the step, or of wall `hit`, beyond those;
+    direction from it to the ball, its velocity there, its material, and the number of its probe, or -1."""
+    number, n, own, material, body = NOTHING, 0.0 * x, 0.0 * x, 0, -1
+    if key == NOTHING:
+        number, n, material = hit, walls.planes.wall[hit].normal, walls.planes.wall[hit].material
+        if ti.static(walls.has_colliders):
+            number += walls.colliders.count
+        if ti.static(walls.probed):
+            body = walls.received.plane[hit]
+    elif ti.static(walls.has_colliders):
+        number = key // walls.colliders.faces
+        n, own = surface(walls, i, key, x, after)
+        material = walls.colliders.shape[number].surface
+        if ti.static(walls.probed):
+            body = walls.received.solid[number]
+    return number, n, own, material, body
 
 
 @ti.func
@@ -286,34 +289,20 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 came, load = speed + t * pull, pull
                 speed = came
                 remaining -= t
-                body = -1  # that has a probe
-                rests, normal = False, 0.0 * v
-                if other == NOTHING:
-                    normal = walls.planes.wall[hit].normal
-                    law = walls.law(i, hit)
-                    speed, pull, rests = bounce(walls, i, normal, law, came, pull, threshold, h, remaining)
-                    if ti.static(walls.probed):
-                        body = walls.received.plane[hit]
+                body, rests, normal = -1, False, 0.0 * v
+                if other == UNKNOWN_WAY:  # it waits where it is
+                    remaining = 0.0
+                else:
+                    surface_met, normal, own, material, body = met_surface(walls, i, hit, other, x + shift, since)
+                    law = walls.law_of_material(i, material)
+                    rests = True  # on a collider that it does not approach
+                    if other == NOTHING or normal.dot(came - own) < 0.0:
+                        speed, pull, rests = bounce(walls, i, normal, law, came - own, pull, threshold, h, remaining)
+                        speed += own
                     if ti.static(walls.plan.reflects):
                         note_reflection(walls, i, normal, law, rests, since / h, body)
-                    if ti.static(walls.has_colliders):
-                        if rests:
-                            settled, floor, place = walls.colliders.count + hit, normal, x + shift
-                elif ti.static(walls.has_colliders):
-                    if other >= 0:
-                        k = other // walls.colliders.faces
-                        speed, pull, rests, normal = hit_collider(
-                            walls, i, other, x + shift, came, pull, since, threshold, h
-                        )
-                        if ti.static(walls.probed):
-                            body = walls.received.solid[k]
-                        if ti.static(walls.plan.reflects):
-                            law = walls.law_of_material(i, walls.colliders.shape[k].surface)
-                            note_reflection(walls, i, normal, law, rests, since / h, body)
-                        if rests:
-                            settled, floor, place = k, normal, x + shift
-                    else:  # UNKNOWN_WAY: it waits where it is
-                        remaining = 0.0
+                    if rests:
+                        settled, floor, place = surface_met, normal, x + shift
                 rested = ti.select(rests and other == NOTHING, hit, NOTHING)
                 if ti.static(not (walls.moves or walls.model.has_friction)):
                     if rests:

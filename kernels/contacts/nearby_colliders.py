@@ -1,6 +1,7 @@
 """Search for the colliders that a ball is at, from its present place; each is kept in a slot of the ball."""
 
 from taichi_sim.kernels.contacts import colliders as geometry
+from taichi_sim.kernels.contacts import warm_start
 from taichi_sim.kernels.contacts.kinds import BOX, MESH
 
 from taichi_sim.device.engine import ti
@@ -116,7 +117,7 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
                 place = e
                 widest = at.slot[e].gap
         if place >= 0:
-            walls.forget(i * walls.count + walls.planes.count + place - first)
+            warm_start.forget(walls, i * walls.count + walls.planes.count + place - first)
     if place >= 0:
         at.slot[place].key = key
         at.slot[place].gap = gap
@@ -146,7 +147,7 @@ def forget_hidden(walls: ti.template(), x, i):
         if hidden >> s & 1 == 1:
             at.slot[first + s].gap = FAR_GAP
             at.slot[first + s].key = EMPTY
-            walls.forget(i * walls.count + walls.planes.count + s)
+            warm_start.forget(walls, i * walls.count + walls.planes.count + s)
     return number
 
 

@@ -269,13 +269,12 @@ def impulse(solver: ti.template(), i, j, n, arm, u, forced, time):
     touch; u: relative velocity, of which `forced` along -n [m/s], see approach_from_forces."""
     law = law_of(solver.pairs, i, j)
     mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
-    total = ti.max(0.0, contact_law.rebound(law.restitution, u.dot(n), forced) * mass)
     slip, tangential_mass = u, mass
     if ti.static(solver.model.spins):
         slip -= arm * lever(solver.state.spin[i] + solver.state.spin[j], n)
         tangential_mass *= contact_law.tangential_mass_part(solver, i, j)
     return -contact_law.impact_impulse(
-        solver.model, law, n, u, slip, mass, tangential_mass, total, solver.threshold[0], time
+        solver.model, law, n, u, forced, slip, mass, tangential_mass, solver.threshold[0], time
     )
 
 
@@ -294,7 +293,7 @@ def limit(solver: ti.template(), i):
     for c in range(begin, begin + solver.pairs.touching[i]):
         j = solver.pairs.link[c].other
         most = largest_load(solver, solver.pairs.contact[c].starting_impulse, i, j)
-        keep_at_most(solver.pairs.link, c, most, solver.model.has_friction)
+        keep_at_most(solver.pairs.link, c, most)
     if ti.static(solver.plan.walls_in_turn):
         wall_impacts.limit(solver.walls, solver, i)
 

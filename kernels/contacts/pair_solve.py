@@ -295,18 +295,18 @@ def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
     In turn a pair that does not bounce keeps its angular momentum: further apart it turns as much more slowly.
     """
     contact = solver.pairs.contact[c]
-    depth = contact.depth - contact_law.CORRECTION_SLOP * ti.min(solver.model.radius[i], solver.model.radius[j])
-    depth -= h * ti.max(0.0, contact.normal.dot(ball[j].v - ball[i].v))
+    u, depth = ball[j].v - ball[i].v, contact.depth
     inverse_mass = solver.model.inverse_mass[i] + solver.model.inverse_mass[j]
     if ti.static(solver.in_turn):
         depth -= contact.normal.dot(solver.position_correction[j] - solver.position_correction[i])
     else:
         inverse_mass = solver.effective_inverse_mass[i] + solver.effective_inverse_mass[j]
-    if depth > 0.0:
-        apart = contact_law.PUSH_OUT * depth
+    smaller = ti.min(solver.model.radius[i], solver.model.radius[j])
+    apart = contact_law.push_out(depth, smaller, h * contact.normal.dot(u))
+    if apart > 0.0:
         q = apart / inverse_mass * contact.normal
         if ti.static(solver.in_turn and not solver.model.has_restitution):
-            u, distance = ball[j].v - ball[i].v, solver.model.radius[i] + solver.model.radius[j] - contact.depth
+            distance = solver.model.radius[i] + solver.model.radius[j] - contact.depth
             slip = u - u.dot(contact.normal) * contact.normal
             solver.exchange(i, j, apart / ((distance + apart) * inverse_mass) * slip)
         add(solver, solver.position_correction, i, -solver.model.inverse_mass[i] * q)

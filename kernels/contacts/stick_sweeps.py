@@ -4,9 +4,7 @@ many rounds as it is heavier, and what two iterations leave of it would let it t
 Each ball takes part with the mass that it has for this stick, so sticks need not wait for each other.
 """
 
-from taichi_sim.kernels.contacts import contact_law
 from taichi_sim.kernels.contacts.line_search import FURTHEST_EXTENSION, best_extension, last_change
-from taichi_sim.kernels.vectors import cross, lever
 
 from taichi_sim.device.engine import ti
 
@@ -44,30 +42,18 @@ def solve(sticks: ti.template(), solver: ti.template(), ball: ti.template(), s, 
 @ti.func
 def one_contact(sticks: ti.template(), solver: ti.template(), ball: ti.template(), c, a, b, time):
     """Further impulse of contact c where the ends have the velocities a and b, and what it changes of the relative velocity."""
-    contact = sticks.contact[c]
-    n, t, w = contact.normal, contact.at, solver.effective_inverse_mass[contact.ball]
-    u = ball[contact.ball].v + w * sticks.applied_impulse[c] - (1.0 - t) * a - t * b
-    inverse = sticks.inverse_mass(solver, contact)
-    mass = 1.0 / inverse
-    total = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
-    p = (total - contact.impulse) * n
-    sticks.contact[c].previous_impulse = contact.impulse
-    sticks.contact[c].impulse = total
-    if ti.static(sticks.model.has_friction):
-        law = sticks.law(contact)
-        slip, tangential_mass = u, mass
-        if ti.static(solver.model.spins):
-            rolling = sticks.model.spin_response(contact.ball) * w
-            slip -= lever(solver.state.spin[contact.ball] - rolling * cross(n, sticks.applied_impulse[c]), n)
-            tangential_mass = 1.0 / (inverse + rolling)
-        before = contact.tangential_impulse
-        change, tangential = contact_law.friction_impulse(
-            sticks.model, law, n, u, slip, mass, tangential_mass, before, total, solver.threshold[0], time
-        )
-        sticks.contact[c].tangential_impulse = tangential
-        p += change
-    sticks.applied_impulse[c] += p
+    applied, inverse = sticks.applied_impulse[c], sticks.inverse_mass(solver, c)
+    sticks.contact[c].previous_impulse = sticks.contact[c].impulse
+    p = sticks.further_impulse(solver, c, relative_velocity(sticks, solver, ball, c, a, b), inverse, applied, time)
+    sticks.applied_impulse[c] = applied + p
     return p, inverse * p.norm()
+
+
+@ti.func
+def relative_velocity(sticks: ti.template(), solver: ti.template(), ball: ti.template(), c, a, b):
+    """Velocity of the ball of contact c from the stick where it touches, whose ends have the velocities a and b."""
+    i, t = sticks.contact[c].ball, sticks.contact[c].at
+    return ball[i].v + solver.effective_inverse_mass[i] * sticks.applied_impulse[c] - (1.0 - t) * a - t * b
 
 
 @ti.func
@@ -80,7 +66,7 @@ def extend(sticks: ti.template(), solver: ti.template(), ball: ti.template(), s,
         contact = sticks.contact[c]
         change = last_change(sticks.contact, c, contact.impulse)
         w, t = solver.effective_inverse_mass[contact.ball], contact.at
-        u = ball[contact.ball].v + w * sticks.applied_impulse[c] - (1.0 - t) * a - t * b
+        u = relative_velocity(sticks, solver, ball, c, a, b)
         slope += change * (u.dot(contact.normal) - contact.target)
         curvature += w * change * change
         p += ((1.0 - t) * change) * contact.normal

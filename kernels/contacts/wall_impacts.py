@@ -54,13 +54,12 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
                 if law.restitution > 0.0:
                     bounced = 1
                     mass = 1.0 / walls.model.inverse_mass[i]
-                    total = contact_law.rebound(law.restitution, n.dot(u), forced) * mass
                     slip, tangential_mass = u, mass
                     if ti.static(solver.model.spins):
                         slip -= lever(solver.state.spin[i], n)
                         tangential_mass *= walls.model.sideways(i)
                     p = contact_law.impact_impulse(
-                        walls.model, law, n, u, slip, mass, tangential_mass, total, walls.threshold[0], time
+                        walls.model, law, n, u, forced, slip, mass, tangential_mass, walls.threshold[0], time
                     )
                     if ti.static(walls.probed):
                         walls.record(i, k, p)
@@ -77,7 +76,7 @@ def limit(walls: ti.template(), solver: ti.template(), i):
             c = i * walls.count + k
             if walls.is_solved(c):
                 most = largest_load(solver, walls.contact[c].starting_impulse, i, i)
-                keep_at_most(walls.contact, c, most, walls.model.has_friction)
+                keep_at_most(walls.contact, c, most)
 
 
 @ti.func

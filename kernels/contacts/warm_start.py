@@ -13,29 +13,24 @@ LOAD_GROWTH = 2.0  # times what a contact accumulated before: more than that, af
 
 
 @ti.func
-def scale(table: ti.template(), count, ratio, friction: ti.template()):
-    """Scale what the first `count` contacts of a table have accumulated by `ratio`."""
-    for e in range(count):
+def scale(table: ti.template(), ratio):
+    """Scale what all contacts of a table have accumulated by `ratio`."""
+    for e in range(table.shape[0]):
         table[e].impulse = ratio * table[e].impulse
-        if ti.static(friction):
+        if ti.static("tangential_impulse" in table.keys):
             table[e].tangential_impulse = ratio * table[e].tangential_impulse
+        if ti.static("load" in table.keys):
+            table[e].load = ratio * table[e].load
 
 
 @ti.func
-def scale_loads(table: ti.template(), count, ratio):
-    """Scale the loads of the first `count` contacts of a table by `ratio`."""
-    for e in range(count):
-        table[e].load = ratio * table[e].load
-
-
-@ti.func
-def keep_at_most(table: ti.template(), c, most, friction: ti.template()):
+def keep_at_most(table: ti.template(), c, most):
     """Limit what contact c of a table accumulated to `most` [N s], which may be a load: the next solve starts with it, and
     would throw back what was an impact's."""
     accumulated = table[c].impulse
     if accumulated > most:
         table[c].impulse = most
-        if ti.static(friction):
+        if ti.static("tangential_impulse" in table.keys):
             table[c].tangential_impulse = most / accumulated * table[c].tangential_impulse
 
 
@@ -56,7 +51,7 @@ def start_from_load(table: ti.template(), solver: ti.template(), c, i, j):
     if accumulated > LOAD_GROWTH * table[c].load:
         most = largest_load(solver, table[c].load, i, j)
         load = ti.min(accumulated, most)
-        keep_at_most(table, c, most + solver.carried_part[0] * (accumulated - most), solver.model.has_friction)
+        keep_at_most(table, c, most + solver.carried_part[0] * (accumulated - most))
     table[c].load = load
 
 
@@ -76,17 +71,19 @@ def store_contact(c, sticks: ti.template()):
 
 
 @ti.func
-def forget(sticks: ti.template(), c, n):
-    """Clear what contact c, with the normal n, has accumulated."""
-    sticks.contact[c].impulse = 0.0
-    if ti.static(sticks.model.has_friction):
-        sticks.contact[c].tangential_impulse = 0.0 * n
+def forget(contacts: ti.template(), c):
+    """Clear what contact c of sticks, triangles or walls has accumulated."""
+    contacts.contact[c].impulse = 0.0
+    if ti.static("load" in contacts.contact.keys):
+        contacts.contact[c].load = 0.0
+    if ti.static(contacts.model.has_friction):
+        contacts.contact[c].tangential_impulse = ti.Vector.zero(float, contacts.model.dim)
 
 
 @ti.func
 def recall(sticks: ti.template(), s, c, n):
     """Restore to contact c of stick s, with the normal n, what it had accumulated under the last list."""
-    forget(sticks, c, n)
+    forget(sticks, c)
     for e in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
         if sticks.old[e].other == sticks.contact[c].ball:
             sticks.contact[c].impulse = sticks.old[e].impulse
@@ -96,17 +93,17 @@ def recall(sticks: ti.template(), s, c, n):
 
 
 @ti.func
-def start(sticks: ti.template(), solver: ti.template(), c, u, n):
+def start(contacts: ti.template(), solver: ti.template(), c, u, n):
     """Contact c, whose speed along the normal is u, starts with what it accumulated; nothing presses any more what leaves
     fast."""
-    if ti.static(not sticks.plan.warm_starts) or u > solver.threshold[0]:
-        forget(sticks, c, n)
-    if ti.static(sticks.plan.warm_starts):
-        sticks.contact[c].starting_impulse = sticks.contact[c].impulse
-        sticks.contact[c].gained_speed = ti.max(solver.threshold[0], sticks.contact[c].last_speed - u)
-        sticks.applied_impulse[c] = sticks.contact[c].impulse * n
-        if ti.static(sticks.model.has_friction):
-            sticks.applied_impulse[c] += sticks.contact[c].tangential_impulse
+    if ti.static(not contacts.warm_starts) or u > solver.threshold[0]:
+        forget(contacts, c)
+    if ti.static(contacts.warm_starts):
+        contacts.contact[c].starting_impulse = contacts.contact[c].impulse
+        contacts.contact[c].gained_speed = ti.max(solver.threshold[0], contacts.contact[c].last_speed - u)
+        contacts.applied_impulse[c] = contacts.contact[c].impulse * n
+        if ti.static(contacts.model.has_friction):
+            contacts.applied_impulse[c] += contacts.contact[c].tangential_impulse
 
 
 @ti.func
@@ -114,5 +111,5 @@ def limit(sticks: ti.template(), c, inverse_mass, u):
     """Limit what contact c keeps after a solve to twice what it started with, and what forces gave since it was last seen.
     inverse_mass: sum w g^2 [1/kg]; u: its speed."""
     most = LOAD_GROWTH * sticks.contact[c].starting_impulse + sticks.contact[c].gained_speed / inverse_mass
-    keep_at_most(sticks.contact, c, most, sticks.model.has_friction)
+    keep_at_most(sticks.contact, c, most)
     sticks.contact[c].last_speed = u

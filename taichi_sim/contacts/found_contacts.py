@@ -78,6 +78,8 @@ class FoundContacts:
         self.grid_parts = [part for part in (self.pairs, self.sticks) if part is not None and plan.neighbours]
         self.sticks_and_triangles = [part for part in (self.sticks, self.triangles) if part is not None]
         self.parts = [part for part in parts if part is not None]
+        tables = ((self.pairs, "link"), (self.sticks, "contact"), (self.walls, "contact"))
+        self.accumulated = [getattr(part, name) for part, name in tables if part is not None]
         # threshold: (1) m/s, approach speed below which nothing bounces
         self.threshold, self.active, self.iterations = threshold, plan.active, plan.iterations
         # by the directions of contacts, not only their number; friction pushes sideways as well
@@ -170,16 +172,8 @@ class FoundContacts:
 
     @ti.kernel
     def _scale(self, ratio: float):
-        if ti.static(self.plan.pairs):
-            warm_start.scale(self.pairs.link, self.pairs.capacity, ratio, self.model.has_friction)
-        if ti.static(self.plan.sticks):
-            warm_start.scale(self.sticks.contact, self.sticks.capacity, ratio, self.model.has_friction)
-        if ti.static(self.plan.walls):
-            warm_start.scale(self.walls.contact, self.n * self.walls.count, ratio, self.model.has_friction)
-        if ti.static(self.plan.keeps_loads):
-            warm_start.scale_loads(self.pairs.link, self.pairs.capacity, ratio)
-            if ti.static(self.plan.walls):
-                warm_start.scale_loads(self.walls.contact, self.n * self.walls.count, ratio)
+        for table in ti.static(self.accumulated):
+            warm_start.scale(table, ratio)
 
     @ti.func
     def clear(self, i):

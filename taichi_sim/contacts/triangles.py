@@ -6,17 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.contacts.pairs import Pairs
+from taichi_sim.contacts.weighted_contacts import WeightedContacts
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.tearing import Severed
 from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.kernels.contacts import contact_law, statistics
+from taichi_sim.kernels.contacts import contact_law
 from taichi_sim.kernels.contacts import triangle_pairs as loops
-from taichi_sim.kernels.contacts.contact_incidence import each_contact
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE
-from taichi_sim.kernels.vectors import cross, lever, zero_scalar_in_2d
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["TriangleContacts"]
@@ -34,7 +33,7 @@ UNBOUNDED_SPACING = 1e12  # m, the same of a ball without triangles
 
 
 @ti.data_oriented
-class TriangleContacts:
+class TriangleContacts(WeightedContacts):
     """Contacts of balls and triangles, and of edges, with thickness: two things touch where they are as far apart as the radii
     there, those of a triangle's balls weighted by how near they are. For what becomes of a pair see
     kernels.contacts.triangle_pairs, for how pairs are found triangle_bvh. capacity: contacts known to be needed."""
@@ -103,10 +102,10 @@ class TriangleContacts:
         # impulse [N s]; planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
         lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
+        if model.has_friction:
+            columns["tangential_impulse"] = vector  # N s
         self.contact = fields.table({**columns, **dict.fromkeys(lengths, fields.real)}, self.capacity)
         self.applied_impulse = fields.vectors(self.capacity, 3)  # N s
-        if model.has_friction:
-            self.tangential_impulse = fields.vectors(self.capacity, 3)  # N s
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)
         self.weight = fields.reals(4 * self.capacity)  # of each member
         self.bytes_each = (fields.bytes - before) / self.capacity
@@ -126,9 +125,29 @@ class TriangleContacts:
         return ["triangles"]
 
     @ti.func
-    def ball_of(self, entry):
-        """The ball of an entry, see contact_incidence."""
-        return self.member[entry]
+    def ball_of(self, c, k):
+        """Ball k of contact c."""
+        return self.member[4 * c + k]
+
+    @ti.func
+    def weight_of(self, c, k):
+        """Weight of ball k of contact c."""
+        return self.weight[4 * c + k]
+
+    @ti.func
+    def thickness(self, c):
+        """Distance at touch [m], negative where contact c may not be gone through, but does not push."""
+        return self.contact[c].thickness
+
+    @ti.func
+    def other_side(self, c):
+        """Number of the first ball of the triangle, or of the second edge."""
+        return ti.select(self.contact[c].kind == BALL_TRIANGLE, 1, 2)
+
+    @ti.func
+    def turns(self, c):
+        """True if contact c is that of a triangle with a ball that is in no surface."""
+        return self.contact[c].kind == BALL_TRIANGLE and self.may_spin[self.member[4 * c]] == 1
 
     @ti.func
     def comes_after(self, entry, other):
@@ -161,146 +180,33 @@ class TriangleContacts:
     def inverse_mass(self, solver: ti.template(), c):
         """1 / kg: sum w s over the four balls, or, where masses are not split, sum w g^2."""
         total = 0.0 * self.weight[4 * c]
-        for k in ti.static(range(4)):
-            i, g = self.member[4 * c + k], self.weight[4 * c + k]
-            if ti.static(solver.sums_plainly):
-                total += self.model.inverse_mass[i] * g * g
-            elif g != 0.0:
-                total += self.effective_inverse_mass[i]
+        if ti.static(solver.sums_plainly):
+            total = self.weighted_sum(self.model.inverse_mass, c)
+        else:
+            for k in ti.static(range(4)):
+                if self.weight[4 * c + k] != 0.0:
+                    total += self.effective_inverse_mass[self.member[4 * c + k]]
         return total
 
     @ti.func
-    def relative_velocity(self, ball: ti.template(), c):
-        """Relative velocity sum g_i v_i of a contact [m/s]."""
-        u = ti.Vector.zero(float, 3)
-        for k in ti.static(range(4)):
-            u += self.weight[4 * c + k] * ball[self.member[4 * c + k]].v
-        return u
+    def own_inverse_mass(self, solver: ti.template(), i):
+        """Inverse mass [1/kg] of the part of ball i that takes part in one contact."""
+        own = self.effective_inverse_mass[i]
+        if ti.static(solver.sums_plainly):
+            own = self.model.inverse_mass[i]
+        return own
 
     @ti.func
-    def law(self, c):
-        """Pair law of a contact: the materials of the first balls on either side."""
-        other = self.member[4 * c + ti.select(self.contact[c].kind == BALL_TRIANGLE, 1, 2)]
-        return contact_law.pair_law(self.model, self.model.surface[self.member[4 * c]], self.model.surface[other])
+    def groups(self):
+        """Number of contacts."""
+        return ti.min(self.used[0], self.capacity)
 
     @ti.func
-    def begin_contacts(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Fix the target speed of every contact; nothing is accumulated. What is apart may close the gap, but not go on."""
-        each_contact(self, self.begin_contact, (ball, solver, impacts))
-
-    @ti.func
-    def begin_contact(self, c, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Fix the target speed of contact c. If it is apart it may close the gap, but not go on."""
-        contact = self.contact[c]
-        if contact.thickness >= 0.0:
-            u = self.relative_velocity(ball, c).dot(contact.normal)
-            restitution, forced = self.law(c).restitution, 0.0 * u
-            if ti.static(solver.plan.loaded):
-                forced = -self.relative_velocity(solver.from_forces, c).dot(contact.normal)
-            target = contact_law.target_speed(
-                u, forced, solver.plan.late_part, restitution, solver.threshold[0], impacts
-            )
-            gap = contact.distance - contact.thickness
-            if gap > 0.0:  # what bounces does so when it touches
-                bounces = restitution > 0.0 and contact_law.is_impact(u, forced, solver.threshold[0])
-                target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
-            self.contact[c].target = target
-            self.contact[c].impulse = 0.0
-            if ti.static(self.model.has_friction):
-                self.tangential_impulse[c] = ti.Vector.zero(float, 3)
-
-    @ti.func
-    def solve_contacts(self, ball: ti.template(), solver: ti.template(), time):
-        """Further impulse of every contact from the present velocities; viscous friction acts for `time` seconds."""
-        each_contact(self, self.solve_contact, (ball, solver, time))
-
-    @ti.func
-    def solve_one(self, c, ball: ti.template(), solver: ti.template(), time):
-        """Further impulse of contact c, if there is such a contact; viscous friction acts for `time` seconds."""
-        if c < ti.min(self.used[0], self.capacity):
-            self.solve_contact(c, ball, solver, time)
-
-    @ti.func
-    def solve_contact(self, c, ball: ti.template(), solver: ti.template(), time):
+    def solve_group(self, c, ball: ti.template(), solver: ti.template(), time):
         """Further impulse of contact c from the present velocities; viscous friction acts for `time` seconds."""
-        contact = self.contact[c]
-        if contact.thickness >= 0.0:
-            n = contact.normal
-            u = self.relative_velocity(ball, c)
-            inverse = self.inverse_mass(solver, c)
-            mass = 1.0 / inverse
-            total = contact_law.normal_impulse(u.dot(n), contact.target, mass, contact.impulse)
-            p = (total - contact.impulse) * n
-            self.contact[c].impulse = total
-            if ti.static(self.model.has_friction):
-                slip, tangential_mass, before = u, mass, self.tangential_impulse[c]
-                if ti.static(solver.model.spins):
-                    i = self.member[4 * c]
-                    if contact.kind == BALL_TRIANGLE and self.may_spin[i] == 1:
-                        slip -= lever(solver.state.spin[i], n)
-                        own = self.effective_inverse_mass[i]
-                        if ti.static(solver.sums_plainly):
-                            own = self.model.inverse_mass[i]
-                        tangential_mass = 1.0 / (inverse + self.model.spin_response(i) * own)
-                change, tangential = contact_law.friction_impulse(
-                    self.model,
-                    self.law(c),
-                    n,
-                    u,
-                    slip,
-                    mass,
-                    tangential_mass,
-                    before,
-                    total,
-                    solver.threshold[0],
-                    time,
-                )
-                self.tangential_impulse[c] = tangential
-                p += change
-            self.applied_impulse[c] = p
-
-    @ti.func
-    def gather(self, ball: ti.template(), solver: ti.template(), i):
-        """Impulse and angular impulse on ball i from all its contacts. Only a ball that is in no surface spins."""
-        p, t = ti.Vector.zero(float, 3), zero_scalar_in_2d(self.model.dim)
-        for e in range(self.first[i], self.first[i] + self.number[i]):
-            c = self.entry[e] // 4
-            if self.contact[c].thickness >= 0.0:
-                p += self.weight[self.entry[e]] * self.applied_impulse[c]
-                if ti.static(solver.model.spins):
-                    if self.contact[c].kind == BALL_TRIANGLE and self.may_spin[i] == 1:
-                        t -= cross(self.contact[c].normal, self.applied_impulse[c])
-        return p, t
-
-    @ti.func
-    def correct_positions(self, ball: ti.template(), solver: ti.template(), i, h):
-        """Push-out of ball i [m] by all contacts it takes part in."""
-        q = ti.Vector.zero(float, 3)
-        for e in range(self.first[i], self.first[i] + self.number[i]):
-            c = self.entry[e] // 4
-            contact = self.contact[c]
-            depth = contact.thickness * (1.0 - contact_law.CORRECTION_SLOP) - contact.distance
-            if depth > 0.0:
-                depth -= h * ti.max(0.0, contact.normal.dot(self.relative_velocity(ball, c)))
-                longest = 0.0 * depth  # lever: no ball is moved by more than the depth
-                for k in ti.static(range(4)):
-                    w = self.model.inverse_mass[self.member[4 * c + k]]
-                    longest = ti.max(longest, w * ti.abs(self.weight[4 * c + k]))
-                share = ti.max(0.0, depth) / ti.max(self.inverse_mass(solver, c), longest)
-                q += contact_law.PUSH_OUT * self.weight[self.entry[e]] * share * contact.normal
-        return q * self.model.inverse_mass[i]
-
-    @ti.func
-    def statistics(self, ball: ti.template(), i):
-        """Statistics of the contacts that touch and whose first ball is ball i."""
-        total = statistics.nothing()
-        for e in range(self.first[i], self.first[i] + self.number[i]):
-            c = self.entry[e] // 4
-            depth = self.contact[c].thickness - self.contact[c].distance
-            if self.entry[e] % 4 == 0 and depth > 0.0:
-                u = self.relative_velocity(ball, c).dot(self.contact[c].normal)
-                total = statistics.join(total, statistics.one(depth, self.model.radius[i], u, False, i))
-        return total
+        if self.contact[c].thickness >= 0.0:
+            u, none = self.relative_velocity(ball, c), ti.Vector.zero(float, 3)
+            self.applied_impulse[c] = self.further_impulse(solver, c, u, self.inverse_mass(solver, c), none, time)
 
 
 def stages(bottom_nodes: int) -> list[tuple[int, int]]:

@@ -151,7 +151,7 @@ class Walls(Surfaces):
                     T += n.outer_product(n)
                     solving += 1
             elif touched:
-                self.forget(c)
+                warm_start.forget(self, c)
                 self.contact[c].role = LEAVING
         self.touching[i] = count
         self.facing[i] = facing
@@ -204,15 +204,6 @@ class Walls(Surfaces):
             self.contact[c].load = self.contact[c].impulse
 
     @ti.func
-    def forget(self, c):
-        """Contact c has accumulated nothing."""
-        self.contact[c].impulse = 0.0
-        if ti.static(self.plan.keeps_loads):
-            self.contact[c].load = 0.0
-        if ti.static(self.model.has_friction):
-            self.contact[c].tangential_impulse = ti.Vector.zero(float, self.model.dim)
-
-    @ti.func
     def begin(self, ball: ti.template(), solver: ti.template(), i, impacts: ti.template(), starts: ti.template()):
         """Choose the walls of ball i that are constraints of the solve, and fix their target speeds; where it `starts`, apply
         what they have accumulated. A ball that arrives fast at a wall is left to `move`."""
@@ -240,7 +231,7 @@ class Walls(Surfaces):
                 role = self._role(gap, u, touch, crowded, self.contact[c].role >= SUNK)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
                 if u > self.threshold[0] or role >= SUNK or ti.static(not solver.plan.warm_starts):
-                    self.forget(c)
+                    warm_start.forget(self, c)
                 e = self.law(i, k).restitution
                 before = ti.select(crowded or role == SUNK, u, ti.max(0.0, u))  # alone, what approaches is pressed
                 forced = 0.0 * u
@@ -344,20 +335,19 @@ class Walls(Surfaces):
         elif ti.static(not (solver.in_turn or solver.sums_plainly)):
             mass /= self.mass_parts[i]
         u = self.relative(v, i, k)
-        now = contact_law.normal_impulse(u.dot(n), contact.target, gain * mass, contact.impulse)
-        p = (now - contact.impulse) * n
-        self.contact[c].impulse = now
+        slip, tangential, tangential_mass = u, 0.0 * u, mass
         if ti.static(self.model.has_friction):
-            slip, tangential_mass = u, mass
+            tangential = contact.tangential_impulse
             if ti.static(solver.model.spins):
                 slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
                 tangential_mass *= self.model.sideways(i)
-            law, before = self.law(i, k), contact.tangential_impulse
-            change, tangential = contact_law.friction_impulse(
-                self.model, law, n, u, slip, mass, tangential_mass, before, now, self.threshold[0], time
-            )
-            self.contact[c].tangential_impulse = tangential
-            p += change
+        p, now, tangential_now = contact_law.further_impulse(
+            self.model, self.law(i, k), n, u, slip, contact.target, gain * mass, tangential_mass, contact.impulse,
+            tangential, self.threshold[0], time,
+        )  # fmt: skip
+        self.contact[c].impulse = now
+        if ti.static(self.model.has_friction):
+            self.contact[c].tangential_impulse = tangential_now
         if ti.static(self.probed):
             self.record(i, k, p)
         return p
@@ -369,15 +359,13 @@ class Walls(Surfaces):
         w = self.model.inverse_mass[i]
         for k in range(ti.select(self.touching[i] > 0 and w > 0.0, self.count, 0)):
             n = self.normal(i, k)
-            away = h * ti.max(0.0, n.dot(self.relative(ball[i].v, i, k)))
-            depth = -self.gap(ball[i].x, i, k) - contact_law.CORRECTION_SLOP * self.model.radius[i] - away
-            share = 1.0 / self.mass_parts[i]
+            depth, share = -self.gap(ball[i].x, i, k), 1.0 / self.mass_parts[i]
             if ti.static(solver.in_turn):
                 depth -= n.dot(solver.position_correction[i])
             if ti.static(solver.split):
                 share = w / solver.effective_inverse_mass[i]
-            if depth > 0.0:
-                d += contact_law.PUSH_OUT * depth * share * n
+            away = h * n.dot(self.relative(ball[i].v, i, k))
+            d += contact_law.push_out(depth, self.model.radius[i], away) * share * n
         return d
 
     @ti.func
