@@ -169,7 +169,7 @@ class Expected:
         settings = (dim, str(simulation.backend), parts.fields.layout)  # lengths are compiled in
         flat = ["pictures.flat"] if pictures and dim == 2 else []
         one = cls([*simulation.kernels(), *flat], settings, pictures and dim == 3)
-        one._again = one._key in _met and not parts.keeps_kernels
+        one._again = one._key in _met and bool(parts.kernels)
         _met.add(one._key)
         return one
 

@@ -77,12 +77,14 @@ def kept() -> list[Tree]:
     return list(_kept)
 
 
-def take(layout: tuple[Any, ...], declared: list[Any], builder: Any) -> Tree | None:
-    """A freed tree of this layout, zero, lent to the declared fields in place of what their builder would make; None where there
-    is none."""
-    tree = next((tree for tree in reversed(kept()) if tree.layout == layout), None)
+def take(layout: tuple[Any, ...], declared: list[Any], builder: Any, released: Tree | None = None) -> Tree | None:
+    """A tree of this layout, `released` or one that was freed, zero, lent to the declared fields in place of what their builder
+    would make; None where there is none."""
+    free = [*kept(), *[released] * (released is not None)]
+    tree = next((tree for tree in reversed(free) if tree.layout == layout), None)
     if tree is not None:
-        _kept.remove(tree)
+        if tree is not released:
+            _kept.remove(tree)
         if builder is not None:
             forget(builder)
         tree.lend(declared)

@@ -122,7 +122,7 @@ def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_proce
     monkeypatch.setattr(compiling, "_met", set())
     monkeypatch.setattr(compiling, "_spent", 100.0)
     monkeypatch.setattr(compiling, "_in_compiler", 50.0)
-    parts = SimpleNamespace(fields=SimpleNamespace(layout=(5,)), keeps_kernels="")
+    parts = SimpleNamespace(fields=SimpleNamespace(layout=(5,)), kernels="key")
     kind = SimpleNamespace(kernels=lambda: ["a"], scene=SimpleNamespace(dim=2), backend="cpu", parts=parts)
     for spent, words in ((20.0, "compiling kernels (about 4 s, less where they are cached)"), (0.0, "starting")):
         one = compiling.Expected.of(kind, False)
@@ -132,7 +132,7 @@ def test_a_second_scene_of_its_kind_in_a_process_tells_nothing_of_the_next_proce
         one.spent()
     monkeypatch.setattr(compiling, "_met", set())
     assert compiling.Expected.of(kind, False).words() == "loading kernels (about 8 s)"
-    parts.keeps_kernels = "user-defined parts"
+    parts.kernels = ""  # as with user-defined parts
     assert compiling.Expected.of(kind, False).words() == "loading kernels (about 8 s)"
     parts.fields.layout = (6,)
     assert compiling.Expected.of(kind, False).words().startswith("compiling")
