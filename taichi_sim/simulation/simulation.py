@@ -37,8 +37,8 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.scene.summary import as_html, in_words, parts_of
-from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
 from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, compensates
+from taichi_sim.simulation.error_control import ErrorEstimate, check_digits
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.settling import Settled, require_tolerance, settle, still
 from taichi_sim.simulation.stepper import Stepper
@@ -117,8 +117,7 @@ class Simulation(Reader):
             with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces, NO_CAPACITY_KNOWN if on is None else on.capacity, on)
-        kind = Stepper if s.tolerance is None else AdaptiveStepper
-        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
+        self._stepper = Stepper(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
             warnings.warn(caution, stacklevel=3)
         self._closed = False
@@ -344,7 +343,7 @@ class Simulation(Reader):
 
     def error(self) -> ErrorEstimate | None:
         """Error that its control found so far; None without `tolerance`."""
-        return self._stepper.report() if isinstance(self._stepper, AdaptiveStepper) else None
+        return self._stepper.policy.report()
 
     def decisions(self) -> list[str]:
         """Decisions made for the run, such as the integrator, and during it, each with the time from which on it holds: shorter
