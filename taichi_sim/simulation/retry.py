@@ -40,7 +40,7 @@ class Retry:
         """No error is known."""
 
     def keep(self) -> None:
-        """What was done so far is not repeated."""
+        """Repeat nothing of what was done so far, from now on."""
         run = self.run
         if run.steps > run.mark and not run.halfway:
             run.keep(goes_on=True)
