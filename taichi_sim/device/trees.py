@@ -41,7 +41,8 @@ class Tree:
     def lend(self, declared: list[Any]) -> None:
         """Make declared fields of this layout aliases of this memory."""
         for field, own in zip(declared, self.fields):
-            lead(field, own)
+            if vars(field).get(KEY) != vars(own)[KEY]:  # else it is one already
+                lead(field, own)
 
     def clear(self) -> None:
         """Set all fields to zero, as a new tree's are."""
