@@ -13,7 +13,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fast_launches import copy_in
 from taichi_sim.device.trees import Tree, drop, forget, kept, lead, take, take_back, twin
 
-__all__ = ["NUMPY_TYPES", "Fields", "OtherFieldsError", "fill"]
+__all__ = ["NUMPY_TYPES", "Fields", "fill"]
 
 NUMPY_TYPES = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}
 
@@ -21,10 +21,6 @@ NUMPY_TYPES = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}
 def fill(field: Any, values: NDArray) -> None:
     """Copy values of its shape into a field, in its own type."""
     copy_in(field, values.astype(NUMPY_TYPES[field.dtype]))
-
-
-class OtherFieldsError(Exception):
-    """Declared fields are unlike those whose memory they should take over."""
 
 
 class Fields:
@@ -35,15 +31,16 @@ class Fields:
     these are handed out, because Taichi takes half a millisecond to make one. A field that would be empty gets one unused
     element, because Taichi has no empty fields.
 
-    on: other fields, still in use, whose memory these take over when they are built; OtherFieldsError is raised where one is
-    declared that is unlike theirs.
+    on: other fields, still in use, that are freed when these are built, which take over their memory where they are like them.
     """
 
     def __init__(self, real: Any, wide: bool = True, on: "Fields | None" = None) -> None:
         backend.check_thread()
         self.real, self.has_wide_numbers = real, wide
         self._on = on
-        self._alike = kept() if on is None or on._tree is None else [on._tree]  # trees that begin like what is declared
+        self._alike = kept()  # trees that begin like what is declared
+        if on is not None and on._tree is not None:
+            self._alike.append(on._tree)
         self._builder: Any = None  # once there is none
         self._declared: list[Any] = []
         self._makers: list[Callable[[], Any]] = []  # of a new field for each
@@ -66,12 +63,7 @@ class Fields:
         ]
         if not self._alike:
             self._begin_new()
-        if self._on is not None:  # the others are done with theirs once these are built
-            field = self._on._declared[number]
-        elif self._alike:
-            field = twin(self._alike[-1].fields[number])
-        else:
-            field = self._new(number)
+        field = twin(self._alike[-1].fields[number]) if self._alike else self._new(number)
         if data is not None:
             self._first.append((number, data))
         self._declared.append(field)
@@ -79,9 +71,7 @@ class Fields:
         return field
 
     def _begin_new(self) -> None:
-        """Make fields for all that were declared so far. Raises OtherFieldsError where they have to be others'."""
-        if self._on is not None:
-            raise OtherFieldsError
+        """Make fields for all that were declared so far."""
         if self._builder is None:
             self._builder = ti.FieldsBuilder()
             for number, field in enumerate(self._declared):
@@ -197,24 +187,15 @@ class Fields:
         kind = tuple((name, str(getattr(t, "dtype", t)), getattr(t, "n", 0)) for name, t in columns.items())
         return self._place(lambda: ti.Struct.field(columns), kind, n, typed, width, by_column)
 
-    def check(self) -> None:
-        """Raise OtherFieldsError where these are to take over the memory of others, which have more fields."""
-        if self._on is not None and self._on._tree is not None and len(self._on._tree.layout) != len(self._layout):
-            raise OtherFieldsError
-
     def build(self) -> None:
         """Allocate everything, or take over what was freed of the same layout, and copy the first values in."""
-        self.check()
-        if self._on is not None:
-            self._on._owner_collected.detach()
-            self._tree, self._on._tree = self._on._tree, None
-            assert self._tree is not None  # no other was like what was declared: all of it means its memory
-            self._tree.clear()
-        else:
-            self._tree = take(tuple(self._layout), self._declared, self._builder)
+        others = None if self._on is None else self._on._released()
+        self._tree = take(self.layout, self._declared, self._builder, others)
+        if others is not None and self._tree is not others:
+            take_back(others)
         if self._tree is None:
             self._begin_new()
-            self._tree = Tree(tuple(self._layout), self._declared, self._builder, self.bytes)
+            self._tree = Tree(self.layout, self._declared, self._builder, self.bytes)
         for number, data in self._first:
             copy_in(self._tree.fields[number], data)
         self._first.clear()
@@ -238,7 +219,13 @@ class Fields:
         """Give the memory back. The fields must not be used after that."""
         if self._tree is not None:
             backend.check_thread()
-            if self._owner_collected is not None:  # else filling it failed
-                self._owner_collected.detach()
-            take_back(self._tree)
-            self._tree = None
+            tree = self._released()
+            assert tree is not None
+            take_back(tree)
+
+    def _released(self) -> Tree | None:
+        """Memory that is no longer these fields'."""
+        if self._owner_collected is not None:  # else filling it failed, or there is none yet
+            self._owner_collected.detach()
+        tree, self._tree = self._tree, None
+        return tree

@@ -13,7 +13,7 @@ import functools
 import hashlib
 import types
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,61 +21,33 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import IS_KNOWN, ti
 from taichi_sim.device.fast_launches import KEY, BoundKernel, quicken
 
-__all__ = ["Shared", "share_kernels"]
+__all__ = ["share_kernels"]
 
 OURS = "taichi_sim"  # the package; what lies elsewhere may read what is not seen here
 PLAIN = (bool, int, float, complex, str, bytes, type(None), np.generic)
-_Place = Any  # where among the parts something was met: None, or (place of what holds it, its name there)
 
 
-class Shared(NamedTuple):
-    """Key under which compiled kernels are shared; "" where they are not. told: the (place, words) from which it was made, to
-    explain a difference."""
-
-    known_by: str
-    told: list[tuple[_Place, tuple[object, ...]]]
-
-    def difference(self, others: "Shared") -> tuple[str, str, str] | None:
-        """The first thing for which others need other kernels: its place, `contacts.plan.iterations`, and what stands there here
-        and in the others; None where they need the same."""
-        if self.known_by == others.known_by:
-            return None
-        for (place, words), (_, now) in zip(self.told, others.told):
-            if words != now:
-                kinds = 0 if words[0] != now[0] else 1  # a type and its value, or types that differ
-                then, here = (" ".join(map(str, one[kinds:])) for one in (words, now))
-                return _path(place), then, here
-        return None if len(self.told) == len(others.told) else ("", str(len(self.told)), str(len(others.told)))
-
-
-def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> Shared:
-    """Make these parts, and all that they hold, use the kernels compiled for equal ones.
+def share_kernels(parts: dict[str, Any], apart: tuple[type, ...] = ()) -> str:
+    """Make these parts, and all that they hold, use the kernels compiled for equal ones. Returns the key of these kernels; ""
+    where nothing is shared: with user-defined parts, which may read what is not seen here, and in another engine.
 
     To be called once all fields have memory, before any kernel has run. apart: types of what no kernel reads, a scene for
-    instance. Nothing is shared where there are user-defined parts among them, which may read what is not seen here.
+    instance.
     """
     if not IS_KNOWN:
-        return Shared("", [])
+        return ""
     walk = _Walk(apart)
     walk.value(parts)
     if walk.foreign:
         for part in walk.kernel_holders:
             vars(part).pop(KEY, None)
-        return Shared("", [])
+        return ""
     _install()
-    known_by = hashlib.sha256(repr([words for _, words in walk.told]).encode()).hexdigest()
+    known_by = hashlib.sha256(repr(walk.told).encode()).hexdigest()
     for number, part in enumerate(walk.kernel_holders):
         vars(part)[KEY] = (KEY, known_by, number)
         quicken(type(part))
-    return Shared(known_by, walk.told)
-
-
-def _path(place: _Place) -> str:
-    """`contacts.plan.iterations`."""
-    if place is None:
-        return ""
-    before = _path(place[0])
-    return f"{before}.{place[1]}" if before else str(place[1])
+    return known_by
 
 
 class _Walk:
@@ -83,20 +55,19 @@ class _Walk:
 
     def __init__(self, apart: tuple[type, ...]) -> None:
         self.apart = apart
-        self.told: list[tuple[_Place, tuple[object, ...]]] = []
+        self.told: list[tuple[object, ...]] = []
         self.kernel_holders: list[Any] = []
         self.foreign = False  # whether a function or a part is not of this package
-        self._place: _Place = None
         self._met: dict[int, int] = {}
         self._alive: list[Any] = []  # so that no identity is given twice
 
     def _say(self, *words: object) -> None:
-        self.told.append((self._place, words))
+        self.told.append(words)
 
     def value(self, value: Any) -> None:
         kind: Any = type(value)
         if kind in PLAIN or isinstance(value, PLAIN):
-            self.told.append((self._place, (kind.__name__, value)))
+            self._say(kind.__name__, value)
         elif isinstance(value, self.apart):
             self._say(kind.__name__)
         elif id(value) in self._met:
@@ -124,12 +95,9 @@ class _Walk:
 
     def mapping(self, value: Any, kind: type) -> None:
         self._say("dict", len(value))
-        place = self._place
         for key, one in value.items():
             self.value(key)
-            self._place = (place, key)
             self.value(one)
-            self._place = place
 
     def partial(self, value: Any, kind: type) -> None:
         self.value((value.func, value.args, value.keywords))

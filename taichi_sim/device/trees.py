@@ -41,7 +41,8 @@ class Tree:
     def lend(self, declared: list[Any]) -> None:
         """Make declared fields of this layout aliases of this memory."""
         for field, own in zip(declared, self.fields):
-            lead(field, own)
+            if vars(field).get(KEY) != vars(own)[KEY]:  # else it is one already
+                lead(field, own)
 
     def clear(self) -> None:
         """Set all fields to zero, as a new tree's are."""
@@ -77,12 +78,14 @@ def kept() -> list[Tree]:
     return list(_kept)
 
 
-def take(layout: tuple[Any, ...], declared: list[Any], builder: Any) -> Tree | None:
-    """A freed tree of this layout, zero, lent to the declared fields in place of what their builder would make; None where there
-    is none."""
-    tree = next((tree for tree in reversed(kept()) if tree.layout == layout), None)
+def take(layout: tuple[Any, ...], declared: list[Any], builder: Any, released: Tree | None = None) -> Tree | None:
+    """A tree of this layout, `released` or one that was freed, zero, lent to the declared fields in place of what their builder
+    would make; None where there is none."""
+    free = [*kept(), *[released] * (released is not None)]
+    tree = next((tree for tree in reversed(free) if tree.layout == layout), None)
     if tree is not None:
-        _kept.remove(tree)
+        if tree is not released:
+            _kept.remove(tree)
         if builder is not None:
             forget(builder)
         tree.lend(declared)

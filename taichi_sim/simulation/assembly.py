@@ -25,8 +25,8 @@ from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.devices import find
-from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION, another
-from taichi_sim.device.fields import Fields, OtherFieldsError
+from taichi_sim.device.engine import another
+from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.shared_kernels import share_kernels
 from taichi_sim.device.spatial_sort import in_order, spatial_order
@@ -69,7 +69,7 @@ NOT_COMPILED = (
     "capacity",
     "backend",
     "_grids",
-    "_shared",
+    "kernels",
 )  # of an assembly, nothing that kernels read
 
 
@@ -87,19 +87,10 @@ class ContactCapacity(NamedTuple):
 NO_CAPACITY_KNOWN = ContactCapacity()
 
 
-class OtherStructureError(Exception):
-    """Kernels would have to be compiled. place: what of the parts differs, "" where they have other fields; then, now: what
-    stands there."""
-
-    def __init__(self, place: str = "", then: str = "", now: str = "") -> None:
-        super().__init__(place, then, now)
-        self.place, self.then, self.now = place, then, now
-
-
 class Assembly:
-    """All parts of one simulation. h: seconds per substep; `set_step` changes it. on: those of another one, whose memory and
-    kernels these take over, which leaves it without; OtherStructureError is raised, and it stays as it is, where that is not
-    possible."""
+    """All parts of one simulation. h: seconds per substep; `set_step` changes it. on: those of another one, whose memory is freed
+    once these are declared without an error; of the same structure, they take it over, with its kernels. kernels: key of
+    these, "" where no others share them."""
 
     fields: Fields
     integrator: Any
@@ -126,15 +117,9 @@ class Assembly:
         self.fields = Fields(backend.real, backend.has_wide_numbers, None if on is None else on.fields)
         try:
             self._assemble(scene, settings, backend, h, forces)
-            if on is not None:
-                self._share_with(on)
             self.fields.build()
-            if on is None:
-                self._shared = share_kernels(self._compiled(), APART)
+            self.kernels = share_kernels(self._compiled(), APART)
             self.integrator.set_step(h)
-        except OtherFieldsError:
-            assert on is not None
-            raise OtherStructureError(*self._decided(on)) from None
         except BaseException:
             self.fields.abandon()
             raise
@@ -142,27 +127,6 @@ class Assembly:
     def _compiled(self) -> dict[str, Any]:
         """Parts that kernels may read, by name."""
         return {name: part for name, part in vars(self).items() if name not in NOT_COMPILED}
-
-    def _share_with(self, on: "Assembly") -> None:
-        """Raise OtherStructureError where other kernels than those of `on` are needed."""
-        self.fields.check()
-        self._shared = share_kernels(self._compiled(), APART)
-        differs = on._shared.difference(self._shared)
-        if differs is not None or not self._shared.known_by:
-            raise OtherStructureError(*(self._decided(on) or differs or ()))
-
-    def _decided(self, on: "Assembly") -> tuple[str, ...]:
-        """First decision of the plan of contacts, or of the integrator, that differs from that of `on`: its name, the value of
-        `on` and the value here; () if none does."""
-        plan = getattr(self, "plan", on.plan)  # not there yet where something before it differs
-        for then, now in zip(on.plan.reasons, plan.reasons):
-            if then != now:
-                return "contacts", then, now
-        before = vars(on.integrator)
-        for name, now in vars(getattr(self, "integrator", on.integrator)).items():
-            if isinstance(now, (bool, int, str)) and before.get(name, now) != now:
-                return f"integrator.{name}", str(before[name]), str(now)
-        return ()
 
     def _assemble(self, scene: Scene, settings: Settings, backend: Backend, h: float, forces: Sequence[Any]) -> None:
         """All parts in the order in which they need each other."""
@@ -287,15 +251,6 @@ class Assembly:
                 + (", or accumulate 'ordered'" if cpu else ""),
             )
         return another(rule)  # one object may serve several simulations
-
-    @property
-    def keeps_kernels(self) -> str:
-        """Reason why others of the same structure cannot use the same kernels; "" where they can."""
-        if self._shared.known_by:
-            return ""
-        if not IS_KNOWN:
-            return f"{ENGINE} {VERSION} compiles kernels anew for each simulation"
-        return "this simulation has user-defined parts, which may read what is compiled in"
 
     @property
     def setup(self) -> Setup:

@@ -1,5 +1,5 @@
-"""Retry: what is done about a run that leaves what is safe: its chunk is repeated with shorter substeps, or it ends with the last
-good state."""
+"""Retry: a run goes from chunk to chunk, at the end of which it is looked at. Where it leaves what is safe, its chunk is repeated
+with shorter substeps, or it ends with the last good state."""
 
 from typing import Any
 from weakref import proxy
@@ -8,6 +8,7 @@ import numpy as np
 
 from taichi_sim.common.errors import UnstableError
 from taichi_sim.scene.objects import ball_in_words
+from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.energy_monitor import Growth
 from taichi_sim.simulation.state_probe import StateSample
 
@@ -20,13 +21,55 @@ SAME_ENERGY = 10.0
 
 
 class Retry:
-    """Repeats chunks of a run, a Stepper. first, most: substeps of a step, at the beginning and the most that are tried."""
+    """Policy of a run, a Stepper, that may repeat its chunks. first, most: substeps of a step, at the beginning and the most that
+    are tried."""
+
+    saved: tuple[str, ...] = ()
 
     def __init__(self, run: Any) -> None:
         self.run: Any = proxy(run)  # no circle: what is dropped frees its memory at once
         self.first, self.most = run.substeps, run.substeps << MOST_HALVINGS
 
-    def find_again(self, target: int) -> StateSample:
+    def start(self) -> None:
+        """The run begins at positions that were set from outside."""
+
+    def forget(self) -> None:
+        """Another run begins."""
+
+    def report(self) -> None:
+        """No error is known."""
+
+    def keep(self) -> None:
+        """Repeat nothing of what was done so far, from now on."""
+        run = self.run
+        if run.steps > run.mark and not run.halfway:
+            run.keep(goes_on=True)
+
+    def advance(self, target: int) -> None:
+        """Run up to a number of steps, the end of the chunk at most, and look at the result."""
+        run, first = self.run, self.run.steps
+        target = min(target, run.end)
+        sample = run.run_to(target)
+        if sample.bad is not None:
+            sample = self._find_again(target)
+        whole = target == run.end
+        growth = run.monitor.judge(sample) if whole else run.monitor.growth(sample, run.largest_motion)
+        if growth is None:
+            run.largest_motion = max(run.largest_motion, sample.motion)
+        elif not run.may_shorten:
+            run.checks.warn_of(growth)
+        elif whole:
+            self._shorten(growth)
+        if growth is None or not run.may_shorten:
+            run.checks.look_at_energy(sample)
+        run.moved = True
+        run.checks.fastest = max(run.checks.fastest, sample.speed)
+        if whole:
+            run.keep(goes_on=True)
+            run.new_chunk()
+        run.checks.after((target - first) * run.substeps)
+
+    def _find_again(self, target: int) -> StateSample:
         """Repeat a chunk in which a ball is lost by step `target`, with substeps halved until none is, which are kept. Where
         neither springs nor user-defined forces limit the method, a shorter step is no cure for a ball that left the world."""
         run, before = self.run, self.run.substeps
@@ -53,7 +96,7 @@ class Retry:
                 self.fail(sample.bad)
         return sample
 
-    def shorten(self, growth: Growth) -> None:
+    def _shorten(self, growth: Growth) -> None:
         """Repeat the chunk with substeps halved until it behaves, and stay there."""
         run = self.run
         before, found, end = run.substeps, [growth.after], run.steps
@@ -127,3 +170,33 @@ class Retry:
         run.primed = False
         kept = f"the last good state, t = {run.time:.6g} s, is kept"
         raise UnstableError(f"{what}; {kept}", time, ball, spring, safe if np.isfinite(safe) else None)
+
+    # To a snapshot and back ------------------------------------------------------------------------------------------
+
+    def before_snapshot(self) -> None:
+        """Have something kept, and the present at the end of a step."""
+        run = self.run
+        if run.halfway:
+            run.run_to(run.steps)
+        if run.own and run.primed:
+            self.keep()
+        if not run.primed:
+            run.keep(goes_on=False)
+
+    def stored(self) -> dict[str, Any]:
+        """No plain values besides the run's."""
+        return {}
+
+    def read(self, plain: Any) -> dict[str, Any]:
+        """No values of these."""
+        return {}
+
+    def reaches(self, snapshot: Snapshot) -> bool:
+        """Run on from what was kept. Returns True if that leads to where the snapshot is: on the same kind of machine it
+        does."""
+        run, steps = self.run, self.run.steps
+        run.go_back()
+        if run.primed:
+            run.run_to(steps)
+        run.steps = steps
+        return np.array_equal(run.parts.state.position, snapshot.position)

@@ -37,9 +37,8 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.scene.summary import as_html, in_words, parts_of
-from taichi_sim.simulation import structure
-from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper, ErrorEstimate, check_digits
-from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, OtherStructureError, compensates
+from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, compensates
+from taichi_sim.simulation.error_control import ErrorEstimate, check_digits
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.settling import Settled, require_tolerance, settle, still
 from taichi_sim.simulation.stepper import Stepper
@@ -83,7 +82,7 @@ class Simulation(Reader):
         self._begin(scene, forces, settings)
 
     def _begin(self, scene: Scene, forces: Sequence[Any], settings: dict[str, Any], on: Assembly | None = None) -> None:
-        """Become a simulation of a scene. on: parts whose memory and kernels it takes over."""
+        """Become a simulation of a scene. on: parts of another one, which it takes the place of."""
         if not isinstance(scene, Scene):
             says = "is no Scene; ts.load_scene reads one from a file"
             raise SceneError("scene", scene, says=says)
@@ -118,8 +117,7 @@ class Simulation(Reader):
             with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
         parts = Assembly(scene, s, self.backend, h, forces, NO_CAPACITY_KNOWN if on is None else on.capacity, on)
-        kind = Stepper if s.tolerance is None else AdaptiveStepper
-        self._stepper = kind(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
+        self._stepper = Stepper(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
             warnings.warn(caution, stacklevel=3)
         self._closed = False
@@ -345,7 +343,7 @@ class Simulation(Reader):
 
     def error(self) -> ErrorEstimate | None:
         """Error that its control found so far; None without `tolerance`."""
-        return self._stepper.report() if isinstance(self._stepper, AdaptiveStepper) else None
+        return self._stepper.policy.report()
 
     def decisions(self) -> list[str]:
         """Decisions made for the run, such as the integrator, and during it, each with the time from which on it holds: shorter
@@ -378,27 +376,20 @@ class Simulation(Reader):
     # Another scene -------------------------------------------------------------------------------------------------
 
     def reset(self, scene: Scene) -> None:
-        """Begin anew at time 0 with another scene of the same structure, in milliseconds: with the same arguments, memory and
-        kernels, nothing being compiled, and with the same bits as a new Simulation of it. On a device the first
-        reset of a process may take some seconds: it compiles, or loads, what empties the memory.
+        """Begin anew at time 0 with another scene, with the same arguments and the same bits as a new Simulation of it.
 
-        Numbers may differ: places, velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. What is compiled
-        in may not: how many balls and springs there are and which these join, whether there is friction or gravity at all. Raises
-        SceneError, which says what differs, and leaves this simulation as it is.
+        A scene of the same structure takes over memory and kernels, in milliseconds: numbers may differ, such as places,
+        velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. Other kernels are needed where the number of
+        balls or springs differs, or which balls these join, or whether there is friction or gravity at all: then they
+        are compiled. On a device the first reset of a process may take some seconds: it compiles, or loads, what empties the
+        memory. Raises what a new Simulation does, and leaves this one as it is.
         """
         on = self.parts
-        if on.keeps_kernels:
-            raise SceneError(("reset",), says=f"{on.keeps_kernels}; make a new Simulation")
         other = object.__new__(type(self))
         try:
             other._begin(scene, self._forces, self._given, on)
-        except OtherStructureError as error:
-            reason = structure.difference(
-                self.scene, other.scene, (self.settings, other.settings), error.place, error.then, error.now
-            )
-            raise SceneError(("reset",), says=f"{reason}; make a new Simulation of it") from None
         except BaseException:
-            if not on.fields.built:  # they were taken over already
+            if not on.fields.built:  # it was given back already
                 self._closed = True
             raise
         vars(self).update(vars(other))

@@ -20,6 +20,7 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly, ContactCapacity
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
+from taichi_sim.simulation.error_control import ErrorControl
 from taichi_sim.simulation.moments import KEPT, LIVE
 from taichi_sim.simulation.retry import Retry
 from taichi_sim.simulation.run_checks import RunChecks
@@ -33,7 +34,8 @@ WORK = 1 << 21  # balls and springs gone through in a chunk of small scenes: its
 
 
 class Stepper:
-    """Advances the parts of a simulation, `dt` at a time in `substeps` parts.
+    """Advances the parts of a simulation, `dt` at a time in `substeps` parts, which its policy decides on: Retry, or, where a
+    tolerance is asked for, ErrorControl.
 
     steps: made since `begin` [s]. mark: what is kept is of that step; end: of the chunk. remembers: whether a method's own memory
     belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls.
@@ -58,17 +60,18 @@ class Stepper:
         self.scene, self.settings, self.parts, self.safe = scene, settings, parts, safe
         self.dt, self.substeps = dt, substeps
         self.steps, self.begin, self.mark, self.end = 0, 0.0, 0, 0
-        self.may_shorten = settings.dt == "auto"
+        self.may_shorten = settings.dt == "auto" and settings.tolerance is None
         longest = CHUNK if own else LONGEST_CHUNK
         self.chunk = int(np.clip(WORK // max(1, scene.n_balls + scene.n_springs), CHUNK, longest))
         self.method = settings.integrator.method
         self.own = own
-        self.primed = self.remembers = self._begun = self._halfway = False
+        self.primed = self.remembers = self._begun = self.halfway = False
         self.moved = False  # by steps, since places were set
         # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
         self.largest_motion = 0.0
         parts.moments.h[LIVE] = self.h
         self.checks, self.retry = RunChecks(self), Retry(self)
+        self.policy: Retry | ErrorControl = self.retry if settings.tolerance is None else ErrorControl(self)
         self.monitor = EnergyMonitor(
             scene,
             self.method,
@@ -93,6 +96,7 @@ class Stepper:
         self.steps, self.begin = round(time / self.dt), 0.0
         if abs(self.time - time) > 1e-9 * time:
             self.steps, self.begin = 0, time
+        self.policy.forget()
 
     # Moving on -----------------------------------------------------------------------------------------------------
 
@@ -101,29 +105,28 @@ class Stepper:
         self._keep_own()
         self.prime()
         if n == 0:
-            self._start()
+            self.start()
             self.parts.run((self.steps - self.mark) * self.substeps, 0, self.h, self.marked)
         target = self.steps + n
         while self.steps < target:
-            self._go_on(min(target, self.end))
+            self.policy.advance(target)
 
     def _keep_own(self) -> None:
         """A user's forces may be changed now: steps before are not repeated with them."""
-        if self.own and self.primed and self.steps > self.mark and not self._halfway:
-            self._keep(goes_on=True)
+        if self.own and self.primed:
+            self.policy.keep()
 
     def begin_here(self) -> None:
         """Places or velocities were set from outside; nothing of what an interrupted call left is made again over them."""
-        self.primed = self._halfway = False
+        self.primed = self.halfway = False
 
     def prime(self) -> None:
         """Make what a step expects, where positions were set from outside."""
         if self.primed:
             return
-        self._keep(goes_on=False)
-        self._new_chunk()
-        self._begun = False
-        self._start()
+        self.keep(goes_on=False)
+        self.new_chunk()
+        self.start()
         sample = self.parts.state_probe.sample()  # also compiles it, so that step(0) leaves nothing to compile
         if sample.bad is not None:
             state = self.parts.state
@@ -134,13 +137,14 @@ class Stepper:
         self.monitor.start_at(sample)
         self.largest_motion, self.checks.fastest = sample.motion, sample.speed
         self.primed, self.moved = True, False
+        self.policy.start()
 
     @property
     def marked(self) -> float:
         """Seconds at what is kept."""
         return self.begin + self.mark * self.dt
 
-    def _keep(self, goes_on: bool) -> None:
+    def keep(self, goes_on: bool) -> None:
         """The present state is good. goes_on: a step led to it, so that what the method remembers belongs to it."""
         integrator = self.parts.integrator
         self.remembers = goes_on and bool(integrator.memory()) and integrator.remembers()
@@ -148,10 +152,12 @@ class Stepper:
         self.parts.state.keep()
         self.mark = self.steps
 
-    def _new_chunk(self) -> None:
+    def new_chunk(self) -> None:
+        """Let a chunk begin with this step, anew from what is kept."""
+        self._begun = False
         self.end = self.steps + max(1, self.chunk // self.substeps)
 
-    def _start(self) -> None:
+    def start(self) -> None:
         """Begin anew from what is kept, where the present fields are that: find contacts, with as much room as they need."""
         if self._begun:
             return
@@ -177,51 +183,27 @@ class Stepper:
         """Go back to what is kept."""
         self.parts.state.restore()
         self.parts.moments.load(KEPT, self.h)
-        self.steps, self._begun, self._halfway = self.mark, False, False
+        self.steps, self._begun, self.halfway = self.mark, False, False
 
     def run_to(self, target: int) -> StateSample:
         """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
         as if it had been there from the beginning."""
-        if self._halfway:  # interrupted, perhaps in the midst of a step
+        if self.halfway:  # interrupted, perhaps in the midst of a step
             self.go_back()
-        self._start()
+        self.start()
         if target > self.steps:
             self._launch(target)
         while (needed := self.parts.lacking()) is not None:
             self._make_room(needed)
-            self._start()
+            self.start()
             self._launch(target)
         return self.parts.state_probe.sample()
 
     def _launch(self, target: int) -> None:
         first = (self.steps - self.mark) * self.substeps
-        self._halfway = True
+        self.halfway = True
         self.parts.run(first, (target - self.steps) * self.substeps, self.h, self.marked)
-        self.steps, self._halfway = target, False
-
-    def _go_on(self, target: int) -> None:
-        """Run up to a number of steps, the end of the chunk at most, and look at the result."""
-        first = self.steps
-        sample = self.run_to(target)
-        if sample.bad is not None:
-            sample = self.retry.find_again(target)
-        whole = target == self.end
-        growth = self.monitor.judge(sample) if whole else self.monitor.growth(sample, self.largest_motion)
-        if growth is None:
-            self.largest_motion = max(self.largest_motion, sample.motion)
-        elif not self.may_shorten:
-            self.checks.warn_of(growth)
-        elif whole:
-            self.retry.shorten(growth)
-        if growth is None or not self.may_shorten:
-            self.checks.look_at_energy(sample)
-        self.moved = True
-        self.checks.fastest = max(self.checks.fastest, sample.speed)
-        if whole:
-            self._keep(goes_on=True)
-            self._begun = False
-            self._new_chunk()
-        self.checks.after((target - first) * self.substeps)
+        self.steps, self.halfway = target, False
 
     def divide(self, substeps: int) -> None:
         """Take so many substeps from now on, from what is kept."""
@@ -235,32 +217,26 @@ class Stepper:
         """All that a run needs to go on with the same bits: what is kept, and how many steps lead from there to the present."""
         if not self.scene.n_balls:
             return replace(self.parts.snapshot(), time=self.time, stepping={"of": self._kind()})
-        self._before_snapshot()
+        self.policy.before_snapshot()
         parts = self.parts
         monitor = (
             None if self.monitor.last is None else [self.monitor.least, self.monitor.most, list(self.monitor.last)]
         )
         stepping = {
             "of": self._kind(),
-            **{name: getattr(self, name) for name in self.saved},
+            **{name: getattr(owner, name) for owner in (self, self.policy) for name in owner.saved},
             "h": list(parts.moments.h),
             "room": list(parts.room),
             "monitor": monitor,
             **self.checks.stored(),
+            **self.policy.stored(),
         }
         return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
-
-    def _before_snapshot(self) -> None:
-        if self._halfway:
-            self.run_to(self.steps)
-        self._keep_own()
-        if not self.primed:
-            self._keep(goes_on=False)
 
     def _kind(self) -> str:
         """Settings that a run depends on besides the scene and what is kept: none with other settings has the same bits."""
         parts = self.parts
-        own = (type(self).__name__, self.method, self.dt, parts.backend.precision, parts.contacts.name)
+        own = (type(self.policy).__name__, self.method, self.dt, parts.backend.precision, parts.contacts.name)
         return " ".join(map(str, (*own, parts.contacts.iterations, parts.order_of_sums)))
 
     def resume(self, snapshot: Snapshot) -> None:
@@ -273,7 +249,7 @@ class Stepper:
         except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError) as error:
             raise SceneError("stepping", says=f"is not what Simulation.snapshot gives ({error})") from None
         self._put_back(values, snapshot)
-        if not self._reaches(snapshot):
+        if not self.policy.reaches(snapshot):
             self.checks.warn(
                 "machine",
                 "what this machine computes differs in the last digits from what was saved: it goes on from the positions saved",
@@ -292,7 +268,8 @@ class Stepper:
     def _checked(self, snapshot: Snapshot) -> dict[str, Any]:
         """The plain values of a snapshot of this run."""
         given = snapshot.stepping
-        values = {name: _as_is(getattr(self, name), given[name]) for name in self.saved}
+        owners = {name: owner for owner in (self, self.policy) for name in owner.saved}
+        values = {name: _as_is(getattr(owner, name), given[name]) for name, owner in owners.items()}
         steps, mark, end, substeps = (values[name] for name in ("steps", "mark", "end", "substeps"))
         most = max(1, self.chunk // self.retry.first)
         if not (
@@ -308,29 +285,19 @@ class Stepper:
             self.primed = False  # what contacts held is gone
         self.parts.check(snapshot.memory, given["h"])
         _monitored(given["monitor"])
-        return values
+        return values | self.policy.read(given)
 
     def _put_back(self, values: Mapping[str, Any], snapshot: Snapshot) -> None:
         """The plain values, and what was kept."""
         self.parts.resume(snapshot)
         self.parts.put_back(snapshot.memory, snapshot.stepping["h"])
         for name, value in values.items():
-            setattr(self, name, value)
+            setattr(self if name in self.saved else self.policy, name, value)
         self.checks.put_back(snapshot.stepping)
         self.parts.set_step(self.h, holds=False)
         monitored = _monitored(snapshot.stepping["monitor"])
         if monitored is not None:
             self.monitor.least, self.monitor.most, self.monitor.last = monitored
-
-    def _reaches(self, snapshot: Snapshot) -> bool:
-        """Run on from what was kept. Returns True if that leads to where the snapshot is: on the same kind of machine it
-        does."""
-        steps = self.steps
-        self.go_back()
-        if self.primed:
-            self.run_to(steps)
-        self.steps = steps
-        return np.array_equal(self.parts.state.position, snapshot.position)
 
 
 def _monitored(given: Any) -> tuple[float, float, StateSample] | None:

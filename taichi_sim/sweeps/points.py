@@ -12,7 +12,7 @@ from typing import Any
 
 from taichi_sim.common import memory
 from taichi_sim.common.atomic_file import replacing
-from taichi_sim.common.errors import BackendError, SceneError, UnstableError, words_of
+from taichi_sim.common.errors import UnstableError, words_of
 from taichi_sim.common.signals import ENDED
 from taichi_sim.common.version import __version__
 from taichi_sim.scene.scene import Scene
@@ -45,7 +45,7 @@ class Point:
 @dataclass(frozen=True)
 class Row:
     """Result of a point. error: why it has no measures, or ""; wall: seconds of work, compiling included; compiled: whether
-    a simulation was made for it rather than used again."""
+    kernels were compiled or loaded for it."""
 
     key: str
     parameters: dict[str, Any]
@@ -67,7 +67,7 @@ class Row:
 class Job:
     """Settings with which points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation
     over the scene's own; folder: where batches of rows go, on all machines; mark: start of their names, which differs
-    between sweeps; apart: in a process that does nothing else; shared: by several of these."""
+    between sweeps; apart: in a process that does nothing else."""
 
     subject: Subject
     measures: Measures
@@ -77,24 +77,23 @@ class Job:
     folder: str | None = None
     apart: bool = True
     mark: str = ""
-    shared: bool = False
     known_by: str = field(
         default_factory=lambda: uuid.uuid4().hex
     )  # a worker keeps its simulation from task to task of a job
 
 
 class Runner:
-    """Runs points by one simulation, which is reset from one to the next where its structure allows that."""
+    """Runs points by one simulation, which is reset from one to the next of the same structure."""
 
     def __init__(self, job: Job) -> None:
         self.job = job
         self.simulation: Any = None
-        self.made = 0  # simulations, since the start
-        self.waited = 0.0  # s, for what other workers compile
+        self.kind = ""  # of it
+        self.made = 0  # times that kernels were compiled or loaded, since the start
 
     def run(self, point: Point) -> Row:
         """A point, whatever becomes of it; a signal that ends the process is no matter of the point, and is passed on."""
-        start, made, waited = time.perf_counter(), self.made, self.waited
+        start, made = time.perf_counter(), self.made
         measures: dict[str, float] = {}
         error = ""
         with warnings.catch_warnings(record=True) as caught:
@@ -114,7 +113,7 @@ class Runner:
             measures=measures,
             error=_cut(error),
             warning=_cut(said),
-            wall=time.perf_counter() - start - (self.waited - waited),
+            wall=time.perf_counter() - start,
             compiled=self.made > made,
         )
 
@@ -133,37 +132,21 @@ class Runner:
 
     def _simulation(self, scene: Scene) -> Any:
         from taichi_sim.device import backend
-        from taichi_sim.device.compile_once import compile_once
         from taichi_sim.simulation.simulation import Simulation
         from taichi_sim.simulation.structure import kind_of
 
-        if self.simulation is not None and not self.simulation.closed:
-            try:
-                self.simulation.reset(scene)
-                return self.simulation
-            except BackendError:  # another precision or arch
-                if not self.job.apart:
-                    raise
-            except SceneError as error:
-                if error.path != ("reset",):
-                    raise
-            self.simulation.close()
-            if self.job.apart:  # so that kernels of the next are found in the cache, and no memory is kept
-                backend.stop()
-        if self.job.shared:
-            self.waited += compile_once(kind_of(scene), self.job.known_by, lambda: self._rehearse(scene))
-        self.simulation = Simulation(scene, **self.job.settings)
+        kind = kind_of(scene)
+        if self.simulation is not None and kind == self.kind and not self.simulation.closed:
+            before = self.simulation.parts.kernels
+            self.simulation.reset(scene)
+            self.made += not before or self.simulation.parts.kernels != before
+            return self.simulation
+        self.close()
+        if self.job.apart and self.kind:  # so that kernels of the next are found in the cache, and no memory is kept
+            backend.stop()
+        self.simulation, self.kind = Simulation(scene, **self.job.settings), kind
         self.made += 1
         return self.simulation
-
-    def _rehearse(self, scene: Scene) -> None:
-        """Run two steps from where the scene is and read what is measured, by numbers alone: functions of the user's may count
-        how often they run."""
-        from taichi_sim.simulation.simulation import Simulation
-
-        with Simulation(scene, **{**self.job.settings, "settle": None}) as simulation:
-            numbers = Measures(self.job.measures.numbers, {}, every_frame=True)
-            numbers.run(simulation, 2.0 * simulation.dt, 1.0 / simulation.dt)
 
     def close(self) -> None:
         """Give the memory back."""

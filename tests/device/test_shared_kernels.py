@@ -5,7 +5,7 @@ import pytest
 
 from taichi_sim.device import backend, trees
 from taichi_sim.device.engine import ENGINE, ti
-from taichi_sim.device.fields import Fields, OtherFieldsError
+from taichi_sim.device.fields import Fields
 from taichi_sim.device.shared_kernels import share_kernels
 
 pytestmark = pytest.mark.once
@@ -93,7 +93,7 @@ def test_equal_parts_compile_once_and_unequal_ones_anew():
         ([6.0, 7.0], 4.0, np.arange(4)),
     ):
         fields, part = made(weights, factor, extra)
-        known_by = share_kernels({"part": part}).known_by
+        known_by = share_kernels({"part": part})
         before = compiled()
         part.work()
         counts.append(compiled() - before)
@@ -136,14 +136,20 @@ def test_fields_take_over_the_memory_of_others_that_are_in_use():
     assert not fields.built
     assert same.weight.to_numpy().tolist() == [5.0, 7.0]
     assert not same.vector.to_numpy().any()
-    with pytest.raises(OtherFieldsError):
-        Part(Fields(ti.f32, on=other), np.ones(3), 3.0)
-    fewer = Fields(ti.f32, on=other)
-    fewer.reals(np.ones(2))
-    with pytest.raises(OtherFieldsError):
-        fewer.build()
+    tree = other._tree
+    longer = Fields(ti.f32, on=other)
+    unlike = Part(longer, np.ones(3), 3.0)
     assert other.built
-    other.free()
+    longer.build()
+    assert not other.built
+    assert longer._tree is not tree
+    assert unlike.weight.to_numpy().tolist() == [1.0, 1.0, 1.0]
+    assert trees._kept[-1] is tree  # freed, for others
+    fewer = Fields(ti.f32, on=longer)
+    fewer.reals(np.ones(3))  # begins like the others
+    fewer.abandon()
+    assert longer.built
+    longer.free()
 
 
 def test_fields_that_only_begin_like_freed_ones_are_their_own():
@@ -172,9 +178,9 @@ def test_parts_from_elsewhere_share_nothing():
     fields = Fields(ti.f32)
     part = ti.data_oriented(Own)(fields, np.ones(2), 3.0)
     fields.build()
-    assert share_kernels({"part": part}).known_by == ""
+    assert share_kernels({"part": part}) == ""
     plain = made([1.0], extra=lambda x: x)
-    assert share_kernels({"part": plain[1]}).known_by == ""
+    assert share_kernels({"part": plain[1]}) == ""
     fields.free(), plain[0].free()
 
 

@@ -182,7 +182,7 @@ def test_what_was_taken_back_is_whole_again():
     with simulate(strip(), dt=1e-3, contacts="off") as sim:
         sim.step(100)
         parts, stepper = sim.parts, sim._stepper
-        stepper._keep(goes_on=True)
+        stepper.keep(goes_on=True)
         stepper._launch(800)
         assert parts.tearing.springs_torn.any()
         stepper.go_back()

@@ -36,7 +36,7 @@ class FakeSimulation:
     scene = Scene(dim=2)
     settings = Settings.resolve(scene, {})
     backend = Backend("cpu", "f32", 2)
-    parts = SimpleNamespace(arguments=[()], fields=SimpleNamespace(layout=()), keeps_kernels="")
+    parts = SimpleNamespace(arguments=[()], fields=SimpleNamespace(layout=()), kernels="key")
     setup = SimpleNamespace(at_touch=False)
     time, dt, substeps = 0.0, 1e-3, 1
     torn = None

@@ -13,14 +13,13 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 import taichi_sim as ts
-from taichi_sim.simulation.adaptive_stepper import AdaptiveStepper
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.stepper import Stepper
 
@@ -223,11 +222,11 @@ KINDS = {
 }
 
 
-def _run(sim: ts.Simulation, x: NDArray, v: NDArray, kind: Any, settings: Settings, substeps: int) -> NDArray:
+def _run(sim: ts.Simulation, x: NDArray, v: NDArray, settings: Settings, substeps: int) -> NDArray:
     """Positions at the end; the parts that are compiled go on being used."""
     parts = sim._stepper.parts
     parts.set_step(sim.dt / substeps, anew=True)
-    sim._stepper = kind(sim.scene, settings, parts, sim.dt, substeps, sim._stability, False)
+    sim._stepper = Stepper(sim.scene, settings, parts, sim.dt, substeps, sim._stability, False)
     sim.resume(ts.Snapshot(x, v))
     sim.run(DURATION)
     return sim.position
@@ -252,15 +251,15 @@ def rows(name: str, builds: int, starts: int, seed: int, integrator: str | None 
                 begin = time.perf_counter()
                 with warnings.catch_warnings(record=True) as warned:
                     warnings.simplefilter("always")
-                    end = _run(sim, x, v, AdaptiveStepper, settings, settings.time_step(scene, sim._stability)[1])
+                    end = _run(sim, x, v, settings, settings.time_step(scene, sim._stability)[1])
                 wall = time.perf_counter() - begin
-                found = sim._stepper.report()
+                found = sim._stepper.policy.report()
                 unit = tolerance * found.size * DURATION
                 plain, finer, begin = replace(settings, tolerance=None, dt=sim.dt), [], time.perf_counter()
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
                     for times in TRUTH:
-                        finer.append(_run(sim, x, v, Stepper, plain, times * found.most))
+                        finer.append(_run(sim, x, v, plain, times * found.most))
                 once = (time.perf_counter() - begin) / sum(TRUTH)
                 yield Row(
                     name,

@@ -1,4 +1,4 @@
-"""AdaptiveStepper: the number of substeps is chosen by the error, measured over the whole run by a second solution.
+"""ErrorControl: the number of substeps is chosen by the error, measured over the whole run by a second solution.
 
 Each step is made twice: with n substeps by the solution that is kept, and by a second solution whose substeps are twice as
 long. Both go on by themselves from the start, so that the largest distance D of a ball between them has all that was added to
@@ -21,25 +21,22 @@ start, or where the state was last set from outside, or, with user-defined force
 tolerance cannot be kept: that is said once, and the run goes on with fewer substeps.
 """
 
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Any, NamedTuple
+from weakref import proxy
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.stability import Stability, coarsest_spring
+from taichi_sim.analysis.stability import coarsest_spring
 from taichi_sim.common.errors import SceneError
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.scene import Scene
-from taichi_sim.scene.snapshot import Snapshot
-from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.energy_monitor import size
-from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateSample
 from taichi_sim.simulation.step_doubling import AHEAD, BEGUN, COARSE, FINE, NEXT, START, SecondSolution
-from taichi_sim.simulation.stepper import Stepper
 
-__all__ = ["AdaptiveStepper", "ErrorEstimate", "check_digits", "size"]
+__all__ = ["ErrorControl", "ErrorEstimate", "check_digits"]
 
 HEAD = 0.25  # s, for which a run may be off as much from its start on
 LAG = 1.5  # substeps by which the second solution is behind where there are contacts
@@ -92,20 +89,14 @@ def check_digits(scene: Scene, tolerance: float, precision: str, dt: float, subs
         )
 
 
-class AdaptiveStepper(Stepper):
-    """See above. `substeps`: of the solution that is kept, an even number."""
+class ErrorControl:
+    """Policy of a run, a Stepper, see above. many: substeps of the solution that is kept, an even number."""
 
-    saved = (
-        *Stepper.saved,
-        *("many", "error", "past", "taken", "least", "most", "repeated", "lost", "unsure", "began", "lag"),
-    )
+    saved = ("many", "error", "past", "taken", "least", "most", "repeated", "lost", "unsure", "began", "lag")
 
-    def __init__(
-        self, scene: Scene, settings: Settings, parts: Assembly, dt: float, substeps: int, safe: Stability, own: bool
-    ) -> None:
-        super().__init__(scene, settings, parts, dt, substeps, safe, own)
-        assert settings.tolerance is not None
-        self.may_shorten = False  # it does so all the time
+    def __init__(self, run: Any) -> None:
+        self.run: Any = proxy(run)  # no circle: what is dropped frees its memory at once
+        scene, settings, dt, substeps = run.scene, run.settings, run.dt, run.substeps
         self.size = size(scene)
         self.share = settings.tolerance * self.size * dt  # m, of one step
         self.floor = substeps  # stability, and what piles need
@@ -117,15 +108,15 @@ class AdaptiveStepper(Stepper):
             and np.bincount(scene.pairs[scene.damping > 0].ravel()).max(initial=0) > 1
         ):
             order = 1  # of the damping halves in a network
-        self.order = 1 if parts.contacts.active else order
-        self.scale = 2.0 if parts.contacts.active else MARGIN / (2.0 ** max(1, order - 1) - 1.0)
+        self.order = 1 if run.parts.contacts.active else order
+        self.scale = 2.0 if run.parts.contacts.active else MARGIN / (2.0 ** max(1, order - 1) - 1.0)
         self.many = substeps
         self.error = self.past = 0.0  # m: since the start of both solutions, and before
         self.taken = 0  # steps in all
         self.least, self.most, self.repeated = substeps, substeps, 0
         self.lost: float | None = None
         self.unsure: float | None = None
-        self.remembers = self.began = False  # whether there is a memory of the method's, now and when both began
+        self.began = False  # whether there was a memory of the method's when both began
         self.lag = 0.0  # s, by which the second solution is behind
         self._ahead = 0.0  # the same one step on
         self._mark: tuple[Any, ...] = ()
@@ -134,7 +125,7 @@ class AdaptiveStepper(Stepper):
         """Tolerance that was asked for, and the error that was found."""
         unit = self.size
         return ErrorEstimate(
-            self.share / (unit * self.dt),
+            self.share / (unit * self.run.dt),
             unit,
             max(self.past, self.error) / unit,
             self.lost,
@@ -146,75 +137,84 @@ class AdaptiveStepper(Stepper):
 
     # One step --------------------------------------------------------------------------------------------------------
 
-    def prime(self) -> None:
-        """Start both solutions at the present positions, if these were set from outside."""
-        if not self.primed:
-            super().prime()
-            self._second.store(FINE)
-            self._second.store(COARSE)
-            self.remembers, self.lag = False, 0.0
-            self.past = max(self.past, self.error)
-            self._begin()
+    def start(self) -> None:
+        """Start both solutions at the present positions, which were set from outside."""
+        self._second.store(FINE)
+        self._second.store(COARSE)
+        self.run.remembers, self.lag = False, 0.0
+        self.past = max(self.past, self.error)
+        self.keep()
 
-    def set_time(self, time: float) -> None:
+    def forget(self) -> None:
         """Another run begins, which nothing is known of."""
-        super().set_time(time)
         self.many = self.least = self.most = self.floor
         self.error, self.past, self.taken, self.repeated = 0.0, 0.0, 0, 0
         self.lost = self.unsure = None
 
-    def _begin(self) -> None:
+    def keep(self) -> None:
         """Store the present state of both solutions as the one to go back to."""
         self._second.copy(START, FINE)
         self._second.copy(BEGUN, COARSE)
-        self.began = self.remembers
-        self._note()
-
-    def _note(self) -> None:
-        monitor = self.monitor
-        own = (self.steps, self.taken, self.error, self.lag, self.least, self.most)
+        run, monitor = self.run, self.run.monitor
+        self.began = run.remembers
+        own = (run.steps, self.taken, self.error, self.lag, self.least, self.most)
         self._mark = (*own, monitor.least, monitor.most, monitor.last)
 
     def _back_to_begin(self) -> None:
         self._second.copy(FINE, START)
         self._second.copy(COARSE, BEGUN)
-        self.remembers = self.began
-        monitor = self.monitor
-        self.steps, self.taken, self.error, self.lag, self.least, self.most = self._mark[:6]
+        run, monitor = self.run, self.run.monitor
+        run.remembers = self.began
+        run.steps, self.taken, self.error, self.lag, self.least, self.most = self._mark[:6]
         monitor.least, monitor.most, monitor.last = self._mark[6:]
 
-    def step(self, n: int) -> None:
-        """Advance by n steps, each by itself, and those before it again where that needs more substeps; 0 only compiles."""
-        if self.own and self.primed:
-            self._begin()
-        self.prime()
-        if n == 0:
-            self.parts.run(0, 0, self.h, self.time)
-        end = self.steps + n
-        while self.steps < end:
-            sample, error = self._try()
-            if error <= self._allowed() or self.lost is not None or self._lose(sample, error):
-                self._take(error, sample)
-            else:
-                self._go_back(error)
+    def advance(self, target: int) -> None:
+        """Make a step, or go back to where both solutions began, where the steps before need more substeps."""
+        run, (sample, error) = self.run, self._try()
+        if not (error <= self._allowed() or self.lost is not None or self._lose(sample, error)):
+            self._go_back(error)
+            return
+        if sample.bad is not None:
+            self._lost(sample.bad)
+        self._second.copy(FINE, NEXT)
+        self._second.copy(COARSE, AHEAD)
+        self.lag = self._ahead
+        run.remembers = bool(run.parts.integrator.memory())
+        growth = run.monitor.judge(sample)
+        if growth is not None:
+            run.checks.warn_of(growth, repeats=False)
+        run.checks.look_at_energy(sample)
+        run.steps += 1
+        run.mark = run.end = run.steps
+        run.moved = True
+        run.checks.after(self.many)
+        first = self.taken == self._mark[1] == 0
+        self.least = self.many if first else min(self.least, self.many)
+        self.most = self.many if first else max(self.most, self.many)
+        self.error = error
+        self.taken += 1
+        if self.unsure is None and run.parts.contacts.active:
+            self._doubt()
+        if self.lost is not None:
+            self.many = min(self.many, AFTER * self.floor)
 
     def _allowed(self) -> float:
         """The error [m] that there may be after this step."""
-        return self.share * max(self.taken + 1, HEAD / self.dt)
+        return self.share * max(self.taken + 1, HEAD / self.run.dt)
 
     def _lose(self, sample: Any, error: float) -> bool:
         """Warn that the tolerance is lost, if nothing can be done about this error. Returns True if so."""
-        before = max(self.past, self._mark[2])
+        run, before = self.run, max(self.past, self._mark[2])
         if self.many < self.ceiling and (before < AIM * self._allowed() or not np.isfinite(error)):
             return False
         if not np.isfinite(error):
             self._lost(0 if sample.bad is None else sample.bad)
-        self.lost = self.time + self.dt
-        self.checks.warn(
+        self.lost = run.time + run.dt
+        run.checks.warn(
             "tolerance",
-            f"the tolerance of {self.share / (self.size * self.dt):g} a second cannot be kept from t = {self.lost:.6g} s on: the"
+            f"the tolerance of {self.share / (self.size * run.dt):g} a second cannot be kept from t = {self.lost:.6g} s on: the"
             f" error there is about {error / self.size:.2g} of the scene's size, more than {self._allowed() / self.size:.2g},"
-            f" with substeps of {self.dt / self.many:.2g} s; where small differences grow, as where many balls meet, no step is"
+            f" with substeps of {run.dt / self.many:.2g} s; where small differences grow, as where many balls meet, no step is"
             " short enough",
         )
         return True
@@ -231,89 +231,65 @@ class AdaptiveStepper(Stepper):
 
     def _try(self) -> tuple[Any, float]:
         """The second solution goes one step ahead, then the solution; a sample of it, and the error [m] by then."""
-        h = self.dt / self.many
-        begin = self.time - self.lag
-        self._ahead = LAG * h if self.parts.contacts.active else 0.0
-        way = self.dt + self.lag - self._ahead
+        run = self.run
+        h = run.dt / self.many
+        begin = run.time - self.lag
+        self._ahead = LAG * h if run.parts.contacts.active else 0.0
+        way = run.dt + self.lag - self._ahead
         many = max(1, int(np.ceil(way / (2.0 * h) * (1.0 - 1e-9))))
         self._from(COARSE, begin, many, way / many)
         self._second.store(AHEAD)
         if self._ahead > 0.0:
             self._from(AHEAD, begin + way, 1, self._ahead + h)
         self._second.show()
-        self._from(FINE, self.time, self.many, h)
+        self._from(FINE, run.time, self.many, h)
         self._second.store(NEXT)
-        self.substeps, sample = self.many, self.parts.state_probe.sample()
+        run.substeps, sample = self.many, run.parts.state_probe.sample()
         if self._ahead > 0.0:
-            self._from(NEXT, self.time + self.dt, 1, h)
+            self._from(NEXT, run.time + run.dt, 1, h)
         apart = self.scale * self._second.apart()
         if self._ahead > 0.0:
-            self._at(NEXT, self.time + self.dt, h)
+            self._at(NEXT, run.time + run.dt, h)
         return sample, max(self.error, self.past + apart)
 
     @property
     def _second(self) -> SecondSolution:
-        assert isinstance(self.parts.moments, SecondSolution)
-        return self.parts.moments
+        assert isinstance(self.run.parts.moments, SecondSolution)
+        return self.run.parts.moments
 
     def _from(self, moment: int, time: float, many: int, h: float) -> None:
         """Run from a stored moment at `time`, in `many` substeps of h seconds; anew where contacts did not fit."""
         needed: Any = True
         while needed is not None:
             self._at(moment, time, h)
-            self.parts.run(0, many, h, time)
-            needed = self.parts.lacking()
+            self.run.parts.run(0, many, h, time)
+            needed = self.run.parts.lacking()
             if needed is not None:
-                self.parts = self.parts.with_capacity(needed)
+                self.run.parts = self.run.parts.with_capacity(needed)
 
     def _at(self, moment: int, time: float, h: float) -> None:
         """All as in a stored moment at `time`, before substeps of h seconds."""
-        self.parts.set_step(h, anew=True, holds=False)
+        parts = self.run.parts
+        parts.set_step(h, anew=True, holds=False)
         self._second.load(moment, h)
-        self.parts.prime(h, time)
-        if (self.remembers or moment in (NEXT, AHEAD)) and self.parts.integrator.memory():
+        parts.prime(h, time)
+        if (self.run.remembers or moment in (NEXT, AHEAD)) and parts.integrator.memory():
             self._second.remember(moment)  # lists may have grown: all but the state is new then
-            self.parts.integrator.recall()
-
-    def _take(self, error: float, sample: Any) -> None:
-        """Accept the step."""
-        if sample.bad is not None:
-            self._lost(sample.bad)
-        self._second.copy(FINE, NEXT)
-        self._second.copy(COARSE, AHEAD)
-        self.lag = self._ahead
-        self.remembers = bool(self.parts.integrator.memory())
-        growth = self.monitor.judge(sample)
-        if growth is not None:
-            self.checks.warn_of(growth, repeats=False)
-        self.checks.look_at_energy(sample)
-        self.steps += 1
-        self.mark = self.end = self.steps
-        self.moved = True
-        self.checks.after(self.many)
-        first = self.taken == self._mark[1] == 0
-        self.least = self.many if first else min(self.least, self.many)
-        self.most = self.many if first else max(self.most, self.many)
-        self.error = error
-        self.taken += 1
-        if self.unsure is None and self.parts.contacts.active:
-            self._doubt()
-        if self.lost is not None:
-            self.many = min(self.many, AFTER * self.floor)
+            parts.integrator.recall()
 
     def _doubt(self) -> None:
         """Say once where contacts act together, or on bodies that shake: thresholds that go with h choose between bouncing,
         sticking and sliding, and both solutions may choose alike where much shorter substeps choose otherwise."""
-        number = int(self.parts.contact_statistics()[statistics.NUMBER])
-        joined = self.scene.joined() & ~self.scene.pinned
+        number = int(self.run.parts.contact_statistics()[statistics.NUMBER])
+        joined = self.run.scene.joined() & ~self.run.scene.pinned
         if number >= (1 if joined.any() else MANY_CONTACTS) or self._may_have_met(joined):
             what = (
                 f"{number} contacts act at once" if number >= MANY_CONTACTS else "what springs join touches something"
             )
-            self.unsure = self.time
-            self.checks.warn(
+            self.unsure = self.run.time
+            self.run.checks.warn(
                 "unsure",
-                f"the tolerance is no promise from t = {self.time:.6g} s on, where {what}: whether contacts bounce, stick or"
+                f"the tolerance is no promise from t = {self.run.time:.6g} s on, where {what}: whether contacts bounce, stick or"
                 " slide may be decided alike at both steps that are compared. Of 160 such runs 155 kept it, the others were"
                 " over by up to 4 times",
             )
@@ -321,41 +297,42 @@ class AdaptiveStepper(Stepper):
     def _may_have_met(self, which: NDArray[np.bool_]) -> bool:
         """True if any of these balls was as near to a wall or a collider in this step as it moves in one: what bounces in
         between leaves no contact at the end."""
-        scene, state = self.scene, self.parts.state
+        run, scene, state = self.run, self.run.scene, self.run.parts.state
         x, speed = state.position[which], np.linalg.norm(state.velocity[which], axis=1)
-        reach = scene.radius[which] + (speed + self.dt * float(np.linalg.norm(scene.gravity))) * self.dt
+        reach = scene.radius[which] + (speed + run.dt * float(np.linalg.norm(scene.gravity))) * run.dt
         for wall in scene.walls:
             if np.any(x @ np.asarray(wall.normal) - wall.offset < reach):
                 return True
         for collider in scene.colliders:
-            centre, _ = collider.motion.at(self.time)
+            centre, _ = collider.motion.at(run.time)
             near = np.linalg.norm(x - centre[0], axis=1) < collider.extent + reach
-            if near.any() and (collider.is_meshed or np.any(collider.distance(x[near], self.time) < reach[near])):
+            if near.any() and (collider.is_meshed or np.any(collider.distance(x[near], run.time) < reach[near])):
                 return True
         return False
 
     def _lost(self, ball: int) -> None:
         """A ball is where none can be after this step; the one before is kept."""
-        self._second.load(FINE, self.dt / self.many)
-        self.retry.fail(ball)
+        self._second.load(FINE, self.run.dt / self.many)
+        self.run.retry.fail(ball)
 
     # To a snapshot and back ----------------------------------------------------------------------------------------
 
-    def _before_snapshot(self) -> None:
-        self.prime()
+    def before_snapshot(self) -> None:
+        """Start both solutions, if they have not begun."""
+        self.run.prime()
 
-    def snapshot(self) -> Snapshot:
-        """Snapshot of both solutions, with where they began."""
-        snapshot = super().snapshot()
-        noted = {"noted": [*self._mark[:-1], list(self._mark[-1])]} if self._mark else {}
-        return replace(snapshot, stepping={**snapshot.stepping, **noted})
+    def stored(self) -> dict[str, Any]:
+        """Plain values, besides those `saved`: where both solutions began."""
+        return {"noted": [*self._mark[:-1], list(self._mark[-1])]} if self._mark else {}
 
-    def _checked(self, snapshot: Snapshot) -> dict[str, Any]:
-        *mark, last = snapshot.stepping["noted"]
-        if len(mark) != 8 or not mark[0] <= snapshot.stepping["steps"]:
+    def read(self, plain: Mapping[str, Any]) -> dict[str, Any]:
+        """Values of what `stored` gave. Raises KeyError, TypeError or ValueError for anything else."""
+        *mark, last = plain["noted"]
+        if len(mark) != 8 or not mark[0] <= plain["steps"]:
             raise ValueError(f"begun at {mark}")
-        return super()._checked(snapshot) | {"_mark": (*mark, StateSample(*last))}
+        return {"_mark": (*mark, StateSample(*last))}
 
-    def _reaches(self, snapshot: Snapshot) -> bool:
-        self._at(FINE, self.time, self.dt / self.many)
+    def reaches(self, snapshot: Any) -> bool:
+        """Both solutions are where the snapshot is."""
+        self._at(FINE, self.run.time, self.run.dt / self.many)
         return True
