@@ -1,4 +1,4 @@
-"""Time that a process has spent on its kernels, and what those of a scene like this one took last.
+"""Time that a process has spent on its kernels, and an estimate of what a scene like this one will take.
 
 Compiled once, kernels are kept on disk, and a later process that needs the same ones only loads them: so what a scene took last
 is remembered by what it is compiled from. What is kept is no machine code yet: that is made when a kernel is launched for the
@@ -9,7 +9,7 @@ time is counted for one version of Taichi only; in any other it is 0.
 import functools
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,6 +19,28 @@ from taichi_sim.device.engine import ENGINE, IS_KNOWN, VERSION
 __all__ = ["Expected", "count_time", "loaded", "seconds", "watched"]
 
 TABLE, MOST_REMEMBERED = "compile_times", 500  # scenes
+# Seconds that kernels take to compile at first, up to their first launch; each machine takes its own multiple. Scenes of unlike
+# kinds took 0.8 to 1.25 times their sums, but for one multiple. "": what all scenes have; pictures: of 3D scenes, those of 2D
+# take a tenth; more pictures: of another scene of the process, which needs the larger ones anew; parallel pairs: what pairs take
+# more on many threads.
+AT_FIRST = {
+    "": 1.0,
+    "pictures": 2.0,
+    "more pictures": 1.3,
+    "pairs": 2.6,
+    "parallel pairs": 1.8,
+    "triangles": 3.0,
+    "sticks": 2.0,
+    "colliders": 1.5,
+    "cells": 0.4,
+    "bricks": 0.7,
+    "solids": 2.4,
+    "springs.motors": 0.3,
+    "springs.damping": 0.8,
+}
+AT_FIRST |= dict.fromkeys(("integrator.implicit_euler", "integrator.tr_bdf2"), 1.9)
+
+PACE = "pace"  # entry of the table: how many times AT_FIRST this machine takes, a mean of what it took lately
 LOADED_PART = 0.3  # of the time spent on kernels: where the compiler took less, most of them were in the cache
 LOADING = 0.4  # of the time that compiling took, what loading takes in the next process
 
@@ -26,6 +48,7 @@ _spent = _in_compiler = 0.0
 _inside = False
 _hear: Callable[[], None] | None = None  # what `watched` was given
 _met: set[str] = set()  # scenes of this process: a second one like it compiles and loads nothing
+_drawn = False  # pictures of a 3D scene in this process
 
 
 def seconds() -> float:
@@ -118,6 +141,12 @@ def watched(hear: Callable[[], None]) -> Iterator[None]:
         _hear = before
 
 
+def _pace(known: Mapping[str, Any]) -> float:
+    """Factor by which kernels take longer here than AT_FIRST, as far as that is known."""
+    pace = known.get(PACE)
+    return float(pace) if isinstance(pace, (int, float)) and 0.1 < pace < 100.0 else 1.0
+
+
 class Expected:
     """Time that the kernels of a scene will take, from what they took before.
 
@@ -125,18 +154,21 @@ class Expected:
     """
 
     def __init__(self, names: Iterable[str], settings: object, pictures: bool) -> None:
-        parts = sorted({*names, *(["pictures"] if pictures else [])})
-        self._key = hashlib.sha256(repr((parts, settings, ENGINE, VERSION)).encode()).hexdigest()[:16]
+        self._names = sorted({*names, *(["pictures"] if pictures else [])})
+        self._key = hashlib.sha256(repr((self._names, settings, ENGINE, VERSION)).encode()).hexdigest()[:16]
         before = recall(TABLE).get(self._key)
         self._before = float(before) if isinstance(before, (int, float)) else None
         self._since, self._compiler_since, self._again = seconds(), _in_compiler, False
+        self._has_pictures = _drawn
 
     @classmethod
     def of(cls, simulation: Any, pictures: bool) -> "Expected":
         """Expected of a Simulation, from now on."""
         parts = simulation.parts
-        settings = (simulation.scene.dim, str(simulation.backend), parts.fields.layout)  # lengths are compiled in
-        one = cls(simulation.kernels(), settings, pictures)
+        dim = simulation.scene.dim
+        settings = (dim, str(simulation.backend), parts.fields.layout)  # lengths are compiled in
+        flat = ["pictures.flat"] if pictures and dim == 2 else []
+        one = cls([*simulation.kernels(), *flat], settings, pictures and dim == 3)
         one._again = one._key in _met and bool(parts.kernels)
         _met.add(one._key)
         return one
@@ -146,10 +178,22 @@ class Expected:
         if self._again or (self._before is not None and self._before < 1.0):
             return "starting"
         if self._before is None:
-            return "compiling kernels (3 to 30 s, less where they are cached)"
+            about = self._about() * _pace(recall(TABLE))
+            if waited > about:
+                return f"compiling kernels (longer than the {about:.0f} s expected)"
+            return f"compiling kernels (about {about:.0f} s, less where they are cached)"
         if waited > self._before:
             return f"loading kernels (longer than last time, {self._before:.0f} s)"
         return f"loading kernels (about {self._before:.0f} s)"
+
+    def _about(self) -> float:
+        """Seconds that it takes at first on the machine that AT_FIRST is of."""
+        parts = {"", *self._names}
+        if self._has_pictures and "pictures" in parts:
+            parts ^= {"pictures", "more pictures"}
+        if {"pairs", "driver.parallel"} <= parts:
+            parts.add("parallel pairs")
+        return sum(AT_FIRST.get(part, 0.0) for part in sorted(parts))
 
     @contextmanager
     def told(self, say: Callable[[str], None]) -> Iterator[None]:
@@ -166,6 +210,8 @@ class Expected:
 
     def spent(self) -> None:
         """Remember what the kernels took, when they are all there."""
+        global _drawn
+        _drawn = _drawn or "pictures" in self._names
         spent = seconds() - self._since
         if not self._again:
             self.remember(spent, _in_compiler - self._compiler_since < LOADED_PART * spent)
@@ -174,7 +220,10 @@ class Expected:
         """Record the seconds that the kernels took to compile, or to load where an earlier process had compiled them."""
         known = recall(TABLE)
         known.pop(self._key, None)
+        if not loaded:
+            pace = spent / self._about()
+            known[PACE] = round((pace * _pace(known)) ** 0.5 if PACE in known else pace, 2)
         known[self._key] = round(spent if loaded else LOADING * spent, 1)
-        for key in list(known)[:-MOST_REMEMBERED]:
+        for key in [key for key in known if key != PACE][:-MOST_REMEMBERED]:
             del known[key]
         remember(TABLE, known)
