@@ -560,6 +560,10 @@ def test_looks_that_are_refused(tmp_path):
         SceneError, match=r"line 7: output\.looks\[0\]\.hem: 0.07 is for rectangular cloth; 'flag' is none"
     ):
         load_scene(file)
+    rope = "[[rope]]\nname = 'rope'\nstart = [0, 0, 0]\nend = [1, 0, 0]\nn = 4\nradius = 0.1\n"
+    file.write_text(text.replace("[[output", rope + "[[output") + 'gloss = 1\n[[output.looks]]\nof = "rope"')
+    with pytest.raises(SceneError, match=r"line 15: output\.looks\[1\]\.of: 'rope' has no surface; a look is for cloth"):
+        load_scene(file)
     for stage in (None, ["day"]):
         with pytest.raises(SceneError, match=r"stage: .* is not allowed; it must be one of 'day', "):
             Renderer(frame, size=SIZE, stage=stage)
