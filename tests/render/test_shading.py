@@ -356,7 +356,7 @@ def test_light_comes_through_a_body_the_more_the_thinner_it_is():
 
 @pytest.mark.slow
 def test_light_inside_shows_no_texels_of_the_shadow_map():
-    """On a side that the lamp's light grazes: the curvature of its brightness from left to right, in rows of which six are one."""
+    """On a side that the lamp grazes: the curvature of its brightness from left to right, in rows of which six are one."""
     scene = Scene(dim=3)
     cube = shapes.jelly(scene, size=(1.5, 1.5, 1.5), resolution=(4, 4, 4), rotation=(0, 41, 0), colour=(0.9, 0.5, 0.2))
     scene.set_name(cube.balls, "cube")
