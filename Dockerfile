@@ -1,8 +1,10 @@
 # taichi_sim in a container.
 #   docker build -t taichi-sim .                                  for the CPU
 #   docker build -t taichi-sim:cuda --target cuda .               for an NVIDIA GPU
-#   docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/work" taichi-sim run jelly -o jelly.mp4
-#   docker run --rm --user "$(id -u):$(id -g)" --gpus all -v "$PWD:/work" taichi-sim:cuda run jelly -o jelly.mp4
+#   docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/data" taichi-sim run jelly -o jelly.mp4
+#   docker run --rm --user "$(id -u):$(id -g)" --gpus all -v "$PWD:/data" taichi-sim:cuda run jelly -o jelly.mp4
+#   docker run --rm -it -p 127.0.0.1:8080:8080 taichi-sim view jelly --web --host 0.0.0.0    then open the address that it prints,
+#                                                                                             with 127.0.0.1 for the host
 
 FROM python:3.12-slim AS wheel
 WORKDIR /source
@@ -18,11 +20,11 @@ RUN apt-get update \
     && apt-get install --yes --no-install-recommends libx11-6 \
     && rm -rf /var/lib/apt/lists/*
 RUN --mount=from=wheel,source=/wheels,target=/wheels \
-    pip install --no-cache-dir "$(ls /wheels/*.whl)[mesh,text,usd]"
+    pip install --no-cache-dir "$(ls /wheels/*.whl)[mesh,text,usd,web]"
 # any user may be named above: caches lie where all may write
 ENV HOME=/tmp XDG_CACHE_HOME=/tmp/.cache
 USER nobody
-WORKDIR /work
+WORKDIR /data
 ENTRYPOINT ["taichi-sim"]
 CMD ["--help"]
 

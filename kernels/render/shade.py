@@ -4,7 +4,7 @@ A key light, a fill, sky, a bounce from the ground, a soft highlight; how much o
 """
 
 from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, screen, to_view, vec3
-from taichi_sim.kernels.render.shadow import shadow_tap
+from taichi_sim.kernels.render.shadow import shadow_depth
 
 from taichi_sim.device.engine import ti
 
@@ -284,14 +284,13 @@ def light_inside(scene: ti.template(), light, lamp, ray, p, colour, rate):
     """Light from the lamp that has come through a body to a place on its surface, by the way that the shadow map shows; what the
     body does not scatter fades sooner."""
     q = screen(light, to_view(light, p))
-    entry, count = ti.f32(0.0), ti.f32(0.0)
+    entry, share = ti.f32(0.0), ti.f32(0.0)
     for k in ti.static(range(4)):
         x, y = q[0] + ti.f32(INSIDE_TAPS[k][0]), q[1] + ti.f32(INSIDE_TAPS[k][1])
-        w = shadow_tap(scene.shadow, scene.shadow_size, x, y)
-        if w > 0:
-            entry += w - q[2]
-            count += 1
-    way = ti.max(entry / ti.max(count, ti.f32(1.0)) - ti.f32(INSIDE_BIAS) / light[3, 0], ti.f32(0.0))
+        w, seen = shadow_depth(scene.shadow, scene.shadow_size, x, y)
+        entry += w - seen * q[2]
+        share += seen
+    way = ti.max(entry / ti.max(share, ti.f32(1e-6)) - ti.f32(INSIDE_BIAS) / light[3, 0], ti.f32(0.0))
     forward = ti.f32(0.55) + ti.f32(0.45) * ray.normalized().dot(lamp)
     left = ti.exp(-rate * way * (ti.f32(1.25) - colour))
     return colour * vec3(scene.stage.key) * left * (forward * ti.f32(INSIDE))

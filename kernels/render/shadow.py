@@ -44,6 +44,22 @@ def shadow_smooth(shadow: ti.template(), size, x, y, w):
 
 
 @ti.func
+def shadow_depth(shadow: ti.template(), size, x, y):
+    """Closeness to the light between the four texels about (x, y), bilinear, times the share of them that show anything, and
+    this share."""
+    fx, fy = ti.floor(x - ti.f32(0.5)), ti.floor(y - ti.f32(0.5))
+    ux, uy = x - ti.f32(0.5) - fx, y - ti.f32(0.5) - fy
+    total, share = ti.f32(0.0), ti.f32(0.0)
+    for k in ti.static(range(4)):
+        w = shadow_tap(shadow, size, fx + ti.f32(k % 2 + 0.5), fy + ti.f32(k // 2 + 0.5))
+        if w > 0:
+            part = (ux if ti.static(k % 2 == 1) else 1 - ux) * (uy if ti.static(k // 2 == 1) else 1 - uy)
+            total += part * w
+            share += part
+    return total, share
+
+
+@ti.func
 def rotated(d):
     """A direction rotated by the golden angle: successive ones fill a disc evenly."""
     return vec2(

@@ -105,15 +105,17 @@ def run(
         raise ValueError("--overwrite, --resume, --checkpoint, --codec and --transparent need --out")
     try:
         with ExitStack() as stack:
-            see = None
+            view = None
             if watch:
                 from taichi_sim.viewer.web import LiveView
 
                 view = stack.enter_context(LiveView(**page, title=job.file.stem, style=job.output["style"]))
                 echo(f"open         {view.url}")
-                see = view.show
             with waiting("reading the scene", not quiet):
                 sim = stack.enter_context(job.simulation())
+            if view is not None:
+                view.wait(sim, pictures=any(one.needs_image for one in targets))
+            see = None if view is None else view.show
             summary = export(sim, targets, progress=not quiet, checkpoint=every, error=error, watch=see, **job.output)
     except BaseException as ended:
         for name, target in zip(names, targets):

@@ -170,7 +170,6 @@ class Expected:
         flat = ["pictures.flat"] if pictures and dim == 2 else []
         one = cls([*simulation.kernels(), *flat], settings, pictures and dim == 3)
         one._again = one._key in _met and bool(parts.kernels)
-        _met.add(one._key)
         return one
 
     def words(self, waited: float = 0.0) -> str:
@@ -215,6 +214,7 @@ class Expected:
         spent = seconds() - self._since
         if not self._again:
             self.remember(spent, _in_compiler - self._compiler_since < LOADED_PART * spent)
+        _met.add(self._key)
 
     def remember(self, spent: float, loaded: bool) -> None:
         """Record the seconds that the kernels took to compile, or to load where an earlier process had compiled them."""

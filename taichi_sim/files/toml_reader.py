@@ -26,7 +26,7 @@ from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
 from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath, require_depth
-from taichi_sim.scene.looks import Look
+from taichi_sim.scene.looks import Look, Subjects
 from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.part import Part
 from taichi_sim.scene.parts import PARTS
@@ -259,14 +259,14 @@ class Reader:
 
     def _looks(self, scene: Scene) -> None:
         """Check [[output.looks]]; textures lie beside the file."""
-        shapes, colliders = [one.name for one in scene.objects], [one.label for one in scene.colliders if one.label]
-        sheets = [one.name for one in scene.objects if one.is_sheet]
+        labels = (one.label for one in scene.colliders)
+        subjects = Subjects.of(scene.dim, scene.objects, scene.triangles, scene.embedded_surfaces, labels)
         seen: list[Look] = []
         for k, look in enumerate(scene.output.get("looks") or ()):
             with self._at("output", "looks", k):
                 if isinstance(look.get("texture"), str):
                     look["texture"] = str(self._beside("texture", look["texture"]))
-                seen.append(Look.of_table(f"looks[{k}]", look, shapes, colliders, seen, sheets))
+                seen.append(Look.of_table(f"looks[{k}]", look, subjects, seen))
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 

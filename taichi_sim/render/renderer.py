@@ -16,7 +16,7 @@ from taichi_sim.render.exposure import EXPOSURES, Exposure, Mean
 from taichi_sim.render.smoothing import CREASE
 from taichi_sim.render.stages import STAGES
 from taichi_sim.scene.camera_path import CameraPath, require_depth
-from taichi_sim.scene.looks import Look
+from taichi_sim.scene.looks import Look, Subjects
 
 __all__ = ["Renderer"]
 
@@ -76,12 +76,12 @@ class Renderer:
         self._exposure = Exposure(shutter, aperture, exposures)
         require_depth(aperture, frame.dim)
         look = (transparent, Colouring.of(frame, colour, colour_range), int(subdivide))
-        shapes = [one.name for one in frame.objects]
-        colliders = [placed.collider.label for placed in frame.colliders if placed.collider.label]
-        sheets = [one.name for one in frame.objects if one.is_sheet]
+        known = getattr(frame, "scene", frame).triangles  # those, too, that have torn
+        labels = (placed.collider.label for placed in frame.colliders)
+        subjects = Subjects.of(frame.dim, frame.objects, known, frame.embedded_surfaces, labels)
         styles: list[Look] = []
         for k, one in enumerate(looks):
-            styles.append(Look.of_table(f"looks[{k}]", one, shapes, colliders, styles, sheets))
+            styles.append(Look.of_table(f"looks[{k}]", one, subjects, styles))
         backend.start()
         self.size = (width, height)
         self._painter: Any

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError, unknown_key
+from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
+from taichi_sim.scene.objects import SceneObject
 
-__all__ = ["FINISHES", "PATTERNS", "Finish", "Look"]
+__all__ = ["FINISHES", "PATTERNS", "Finish", "Look", "Subjects"]
 
 OFF_WHITE = (0.96, 0.95, 0.92)  # sRGB
 MOST_PIXELS, KEPT_PIXELS = 8192, 1024  # along a side of a texture: of a file, and of what is drawn
@@ -44,6 +46,34 @@ FINISHES = {  # of presets of these names
     "rubber": Finish(0.3, 0.05),
     "gelatine": Finish(0.6, 0.5, 0.4),
 }
+
+
+class Subjects(NamedTuple):
+    """Names that a look may be `of`: shapes with a surface, those among them that are rectangular sheets, and colliders. bare:
+    names of shapes without a surface. dim: of the scene."""
+
+    dim: int
+    shapes: Collection[str]
+    sheets: Collection[str]
+    bare: Collection[str]
+    colliders: Collection[str]
+
+    @classmethod
+    def of(
+        cls,
+        dim: int,
+        objects: Iterable[SceneObject],
+        triangles: NDArray,
+        embedded: Iterable[EmbeddedSurface],
+        colliders: Iterable[str],
+    ) -> Subjects:
+        """Subjects of a scene: its objects, triangles (t, 3) of balls, embedded surfaces and the labels of its colliders."""
+        objects = tuple(objects)
+        surfaced = np.unique(np.concatenate([np.ravel(triangles), *(np.ravel(one.corners) for one in embedded)]))
+        shapes = [one.name for one in objects if np.isin(one.balls, surfaced).any()]
+        sheets = [one.name for one in objects if one.is_sheet]
+        bare = [one.name for one in objects if one.name not in shapes]
+        return cls(dim, shapes, sheets, bare, [label for label in colliders if label])
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +111,13 @@ class Look:
         cls,
         where: str,
         given: Mapping[str, Any],
-        shapes: Collection[str],
-        colliders: Collection[str],
+        subjects: Subjects,
         before: Sequence[Look] = (),
-        sheets: Collection[str] = (),
     ) -> Look:
-        """Make a look from a table of [[output.looks]], the names of shapes and colliders, the looks of the tables before,
-        and the names of the shapes that are rectangular sheets. Raises SceneError that names `where`, the key and the
-        value."""
+        """Make a look from a table of [[output.looks]], of one of the subjects, after the looks of the tables before. Raises
+        SceneError that names `where`, the key and the value."""
+        if subjects.dim != 3:
+            raise SceneError(where, says="is for 3D; in 2D give `colour`, or a `stage`")
         known = [f.name for f in fields(cls)]
         if not isinstance(given, Mapping):
             raise SceneError(where, given, "a table")
@@ -98,7 +127,11 @@ class Look:
         if "of" not in given:
             raise SceneError(f"{where}.of", says="is missing; give the name of a shape or of a collider")
         look = cls(**given)
-        names = sorted({*shapes, *colliders})
+        if look.of in subjects.bare:
+            says = "has no surface; a look is for cloth, jelly, meshes and colliders, not for balls and springs"
+            raise SceneError(f"{where}.of", look.of, says=says)
+        colliders = subjects.colliders
+        names = sorted({*subjects.shapes, *colliders})
         if look.of not in names:
             raise SceneError(
                 f"{where}.of", look.of, f"the name of a shape or of a collider: {', '.join(names) or 'none has one'}"
@@ -128,7 +161,7 @@ class Look:
         }
         if shares["opacity"] < 1 and look.of not in colliders:
             raise SceneError(f"{where}.opacity", look.opacity, says="is for colliders; a shape hides what is behind it")
-        if look.hem and look.of not in sheets:
+        if look.hem and look.of not in subjects.sheets:
             what = "a collider has no borders" if look.of in colliders else f"{look.of!r} is none"
             raise SceneError(f"{where}.hem", look.hem, says=f"is for rectangular cloth; {what}")
         if look.repeat is not None and look.pattern == "plain" and look.texture is None:

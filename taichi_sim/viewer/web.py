@@ -1,9 +1,10 @@
 """Live views in browsers: of a simulation that pages play with, and of a run that they look on at."""
 
+import math
+import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import ExitStack
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from html import escape
 from typing import Any
 
@@ -25,6 +26,7 @@ MOST_FPS = 30.0  # pictures per second that pages get
 PART = 0.05  # of the time of a run that may be spent on those who look on
 IDLE = 0.1  # s between looks at whether a page was opened
 GOODBYE = 0.3  # s for the last words to reach pages
+TOLD = 1.0  # s between two messages to those who wait
 HEIGHT = 600  # px, of a page in a notebook
 
 
@@ -33,6 +35,7 @@ class LiveView:
 
         with ts.LiveView() as view:
             print(view.url)
+            view.wait(simulation)
             ts.export(simulation, "x.mp4", watch=view.show)
 
     In a notebook a cell that ends with `view` shows the page.
@@ -47,16 +50,37 @@ class LiveView:
     ) -> None:
         self._server, self._title, self._style = WebServer(host, port), title, style or {}
         self.url = self._server.url
-        self._words = self._server.viser.gui.add_markdown("The scene is read and compiled. The first picture follows.")
+        self._words = self._server.viser.gui.add_markdown("Please wait: the program is reading the scene.")
         self._share = Share(MOST_FPS, PART)
         self._stage: WebStage | None = None
+        self._waiting, self._waits_at = ExitStack(), -math.inf
         self._begin = 0.0
+
+    def wait(self, simulation: Any, pictures: bool = False) -> None:
+        """Show a simulation as it is now, and tell how long its kernels take, until `show` gets a later frame.
+
+        pictures: True if pictures of it are drawn, whose kernels take time, too.
+        """
+        frame = simulation.frame()
+        self._show(frame)
+        self._waits_at = frame.time
+        self._waiting.enter_context(_telling(self._words, Expected.of(simulation, pictures).words))
 
     def show(self, frame: Frame) -> None:
         """Show a frame, unless that would take too much of the time; the first one always. Frames are of one scene."""
+        if frame.time == self._waits_at:  # more kernels follow
+            return
+        if self._begin == 0.0:
+            self._waiting.close()
+            self._words.remove()
+            self._share = Share(MOST_FPS, PART)  # the wait is not charged to the run
+            self._begin = time.perf_counter()
+        self._show(frame)
+
+    def _show(self, frame: Frame) -> None:
         begin = time.perf_counter()
         if self._stage is None:
-            self._open(frame, begin)
+            self._open(frame)
         elif not (self._server.watched and self._share.due(begin)):
             self._panel.history.add(frame.time, frame.probes)
             return
@@ -66,16 +90,14 @@ class LiveView:
         self._panel.show(frame.time, frame.probes, lambda: self._rows(frame, begin))
         self._share.spent(begin, time.perf_counter())
 
-    def _open(self, first: Frame, now: float) -> None:
-        self._words.remove()
+    def _open(self, first: Frame) -> None:
         self._stage = WebStage(self._server, first, self._style)
         scene = getattr(first, "scene", None)
         probes = {} if scene is None else units_of(scene)
         self._panel = WebPanel(self._server, self._title, probes, self._style.get("colour") or COLOURS[0])
-        self._begin = now
 
     def _rows(self, frame: Frame, now: float) -> Rows:
-        spent = now - self._begin
+        spent = now - self._begin if self._begin else 0.0
         speed = (("speed", f"{frame.time / spent:.2g} x real time"),) if spent > 0 else ()
         balls = ("balls", f"{len(frame.position):,}".replace(",", " "))
         assert self._stage is not None
@@ -87,6 +109,7 @@ class LiveView:
 
     def close(self) -> None:
         """Close the pages' connection. Calling it twice does no harm."""
+        self._waiting.close()
         self._server.close()
 
     def __enter__(self) -> "LiveView":
@@ -118,10 +141,13 @@ def show(
     with ExitStack() as stack:
         server = stack.enter_context(WebServer(host, port))
         say(f"open         {server.url}")
-        words = server.viser.gui.add_markdown("reading the scene")
+        words = server.viser.gui.add_markdown("Please wait: the program is reading the scene.")
         try:
             simulation = stack.enter_context(simulate([pointer]))
-            with Expected.of(simulation, pictures=False).told(partial(setattr, words, "content")):
+            first = simulation.frame()
+            WebStage(server, first, style or {}).show(first)  # in view until it can be played with
+            expected = Expected.of(simulation, pictures=False)
+            with _telling(words, expected.words), expected.told(lambda _: None):
                 simulation.step(0)
                 player = Player(simulation, pointer, min(fps, MOST_FPS), until)
             words.remove()
@@ -188,6 +214,29 @@ class _Browsers:
             if phase == "end":
                 player.let_go()
                 self.holder = None
+
+
+@contextmanager
+def _telling(place: Any, words: Callable[[float], str]) -> Iterator[None]:
+    """Tell pages meanwhile, in a markdown of theirs, what `words` makes of the seconds that they have waited."""
+    begin, ended = time.monotonic(), threading.Event()
+
+    def tell() -> None:
+        waited = time.monotonic() - begin
+        place.content = f"Please wait: {words(waited)}. {waited:.0f} s have passed."
+
+    def go_on() -> None:
+        while not ended.wait(TOLD):
+            tell()
+
+    tell()
+    thread = threading.Thread(target=go_on, name="telling", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 def _take_leave(server: WebServer, words: str, error: BaseException | None) -> None:

@@ -254,7 +254,8 @@ def test_the_page_has_a_row_for_every_key():
     (2, "aperture = 0.1", r"line 6: output\.aperture: 0\.1 is for scenes in 3D; in 2D all is as far away"),
     (3, "looks = [{object = 'flag', texture = 'a.png'}]", r"line 6: output\.looks\[0\]\.object: is not a key of a look; there"),
     (3, "looks = [{texture = 'a.png'}]", r"line 6: output\.looks\[0\]\.of: is missing; give the name of a shape or of a"),
-    (3, "looks = [{of = 'b', texture = 'nope.png'}]", r"output\.looks\[0\]\.texture: '.*nope\.png' is not there; give an image"),
+    (3, "looks = [{of = 'b', gloss = 1}]", r"line 6: output\.looks\[0\]\.of: 'b' has no surface; a look is for cloth, jelly"),
+    (2, "looks = [{of = 'b', gloss = 1}]", r"line 6: output\.looks\[0\]: is for 3D; in 2D give `colour`"),
 ])  # fmt: skip
 def test_what_pictures_cannot_have_is_refused_where_it_stands(tmp_path, dim, output, says):
     place = [[0.0] * dim]

@@ -11,7 +11,7 @@ from taichi_sim.geometry.mesh import read_surface
 from taichi_sim.outputs.parts import Parts
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
-from taichi_sim.scene.looks import Look
+from taichi_sim.scene.looks import Look, Subjects
 
 pytestmark = pytest.mark.once
 
@@ -209,7 +209,9 @@ def test_a_jelly_of_a_mesh_keeps_its_places_on_a_texture(tmp_path, fill):
     frame = frame_of(scene)
     frame.objects = tuple(scene.objects)
     Image.new("RGB", (6, 4)).save(tmp_path / "die.png")
-    look = Look.of_table("looks[0]", {"of": "jelly_0", "texture": tmp_path / "die.png"}, ["jelly_0"], [])
+    look = Look.of_table(
+        "looks[0]", {"of": "jelly_0", "texture": tmp_path / "die.png"}, Subjects(3, ["jelly_0"], (), (), ())
+    )
     for times in (0, 1):
         found = Content.of(frame, 1.0, subdivide=times, looks=[look]).styles.place.reshape(-1, 3, 3)
         assert len(found) == 12 * 4**times

@@ -354,6 +354,25 @@ def test_light_comes_through_a_body_the_more_the_thinner_it_is():
     assert gain[0] > 1.5 * gain[1] > 0
 
 
+@pytest.mark.slow
+def test_light_inside_shows_no_texels_of_the_shadow_map():
+    """On a side that the lamp grazes: the curvature of its brightness from left to right, in rows of which six are one."""
+    scene = Scene(dim=3)
+    cube = shapes.jelly(scene, size=(1.5, 1.5, 1.5), resolution=(4, 4, 4), rotation=(0, 41, 0), colour=(0.9, 0.5, 0.2))
+    scene.set_name(cube.balls, "cube")
+    frame = frame_of(scene)
+    frame.objects = tuple(scene.objects)
+    sides = []
+    for share in (0.0, 0.5):
+        look = {"of": "cube", "translucency": share}
+        with Renderer(frame, size=(640, 480), looks=[look], camera={"azimuth": 10.0, "elevation": 18.0}) as renderer:
+            drawn = renderer.render(frame)[180:396, 280:400]
+        sides.append(drawn.astype(float).mean(axis=2).reshape(36, 6, 120).mean(axis=1))
+    solid, lit = sides
+    assert lit.mean() > solid.mean() + 10
+    assert np.abs(np.diff(lit[:, ::2], n=2, axis=1)).mean() < 0.48
+
+
 def test_fabrics_shine_and_let_light_through_as_they_do():
     """A preset's gloss and translucency are those of a surface, unless a look gives them, or a material has its name."""
     rows = {}
@@ -558,6 +577,12 @@ def test_looks_that_are_refused(tmp_path):
     file.write_text(text.replace("cloth", "jelly") + "hem = 0.07")
     with pytest.raises(
         SceneError, match=r"line 7: output\.looks\[0\]\.hem: 0.07 is for rectangular cloth; 'flag' is none"
+    ):
+        load_scene(file)
+    rope = "[[rope]]\nname = 'rope'\nstart = [0, 0, 0]\nend = [1, 0, 0]\nn = 4\nradius = 0.1\n"
+    file.write_text(text.replace("[[output", rope + "[[output") + 'gloss = 1\n[[output.looks]]\nof = "rope"')
+    with pytest.raises(
+        SceneError, match=r"line 15: output\.looks\[1\]\.of: 'rope' has no surface; a look is for cloth"
     ):
         load_scene(file)
     for stage in (None, ["day"]):

@@ -32,6 +32,7 @@ class Page:
     def __init__(self, url: str, slow: float = 0.0) -> None:
         self.parts: dict[str, dict[str, Any]] = {}
         self.said: list[dict[str, Any]] = []  # messages for whoever looks at it
+        self.kinds: set[str] = set()  # of messages so far
         self.bytes, self.slow = 0, slow
         address = url.replace("http://", "ws://").rstrip("/")
         self.socket = connect(address, subprotocols=[f"viser-v{version}"], max_size=None, compression=None)
@@ -54,6 +55,7 @@ class Page:
         size = int.from_bytes(message[8:16], "little")
         whole = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(message[16 : 16 + size]))
         for one in whole["messages"]:
+            self.kinds.add(one["type"])
             if one["type"] == "NotificationShowMessage":
                 self.said.append(one["props"])
             name = one.get("name") or one.get("uuid")

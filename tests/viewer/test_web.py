@@ -473,6 +473,32 @@ def test_a_page_hears_why_nothing_moves_any_more():
     assert page.said[0]["body"] == "ball 3 left the world"
 
 
+def test_a_page_shows_the_scene_and_how_long_to_wait_before_any_kernel_is_there(monkeypatch):
+    """Both are there before the first kernel; the words go with the first frame of a later time."""
+    from taichi_sim.device import compiling
+
+    monkeypatch.setattr("taichi_sim.viewer.web.TOLD", 0.05)
+    monkeypatch.setattr(compiling, "_met", set())
+
+    def words(page: Page) -> list[str]:
+        return [text for one in page.parts.values() if "Please wait" in (text := str(one.get("_markdown", "")))]
+
+    with ts.LiveView(port=0) as view, Page(view.url) as page, ts.Simulation(pile(), arch="cpu", dt=2e-3) as sim:
+        page.until(lambda: words(page) == ["Please wait: the program is reading the scene."])
+        before = compiling.seconds()
+        view.wait(sim)
+        page.until(lambda: "/balls" in page.parts and re.search(r"(kernels|starting).* \d+ s have", *words(page)))
+        page.until(lambda: re.search(r" [1-9]\d* s have passed", *words(page)))
+        assert compiling.seconds() == before
+        sim.step(0)
+        view.show(sim.frame())  # pictures of it are still to be compiled
+        drawn = page.parts["/balls"]["updates"]
+        sim.step(1)
+        view.show(sim.frame())
+        page.until(lambda: page.parts["/balls"]["updates"] > drawn)
+        assert "GuiRemoveMessage" in page.kinds
+
+
 @pytest.mark.parametrize(("error", "says"), [
     (None, "The run has ended."),
     (KeyboardInterrupt(), "It was stopped by Ctrl-C."),
@@ -480,7 +506,7 @@ def test_a_page_hears_why_nothing_moves_any_more():
 ])  # fmt: skip
 def test_a_page_says_what_it_waits_for_and_that_a_run_has_ended(error, says):
     with ts.LiveView(port=0) as view, Page(view.url) as page:
-        page.until(lambda: any("compiled" in str(one.get("_markdown", one)) for one in page.parts.values()))
+        page.until(lambda: any("reading" in str(one.get("_markdown", one)) for one in page.parts.values()))
         view.show(sheet(3))
         page.until(lambda: "/surface0_own0" in page.parts and view._server.watched)
         view.__exit__(None if error is None else type(error), error, None)
