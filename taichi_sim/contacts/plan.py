@@ -77,7 +77,8 @@ def plan_contacts(
     serial: bool,
 ) -> ContactPlan:
     """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, late_part, friction_part, custom_method: of
-    the integrator; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have work."""
+    the integrator; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have
+    work."""
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
 
