@@ -161,14 +161,13 @@ class ContactRule(FoundContacts):
         if ti.static(self.model.spins):
             self.state.spin[i] = self.state.spin[i] + (self.model.spin_response(i) * w) * t
 
-    def solving(self, friction_part: float) -> list[Part]:
-        """The parts that solve all contacts before a move; friction acts for that part of a step."""
-        self.friction_part = friction_part
+    def solving(self) -> list[Part]:
+        """The parts that solve all contacts before a move."""
         return [Part(self, "_solve", STEP)] if self.active else []
 
     @ti.func
     def _solve(self, role: ti.template(), h, time):
-        self.solve(self.state.ball, self.friction_part * h, self.iterations, True)
+        self.solve(self.state.ball, self.plan.friction_part * h, self.iterations, True)
 
     # Moving
 

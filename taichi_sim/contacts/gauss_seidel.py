@@ -108,4 +108,4 @@ class GaussSeidel(IteratedRule):
         if ti.static(self.plan.at_search):
             struck_pairs.clear(self)
             struck_pairs.look_back(self, role == STEP)
-            pair_impacts.all_rounds(self, ball, self.friction_part / self.rate[0])
+            pair_impacts.all_rounds(self, ball, self.plan.friction_part / self.rate[0])

@@ -27,9 +27,9 @@ class IteratedRule(ContactRule):
     def after_iterations(self, ball: ti.template(), impacts: ti.template()):
         """Do what comes last, before the energy limiter."""
 
-    def solving(self, friction_part: float) -> list[Part]:
+    def solving(self) -> list[Part]:
         """The parts that solve all contacts before a move. Where there are many iterations, those after the first are one."""
-        whole = super().solving(friction_part)
+        whole = super().solving()
         if self.iterations <= FEW_ITERATIONS or type(self).solve is not IteratedRule.solve or not whole:
             return whole
         further = Part(self, "_iterate_further", STEP, self.iterations - 1)
@@ -37,7 +37,7 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def _iterate_first(self, role: ti.template(), h, time):
-        self.open_solve(self.state.ball, self.friction_part * h, True)
+        self.open_solve(self.state.ball, self.plan.friction_part * h, True)
 
     @ti.func
     def _iterate_further(self, role: ti.template(), h, time):

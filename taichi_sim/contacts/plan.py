@@ -37,6 +37,7 @@ class ContactPlan:
     foresees: bool  # pairs that may meet within the step count
     loaded: bool  # what forces add in a step is no impact
     late_part: float  # of that, which balls had not yet at their places: no bounce throws it back
+    friction_part: float  # of a step, for which friction acts in one solve
     marks_bounces: bool  # balls that bounce are known, to methods that ask for forces at the end of a step
     line_search: bool  # see kernels.contacts.impact_iterations
     limits_energy: bool  # see kernels.contacts.energy_limiter
@@ -67,6 +68,7 @@ def plan_contacts(
     relaxes: bool,
     reflects: bool,
     late_part: float,
+    friction_part: float,
     custom_method: bool,
     extra_forces: bool,
     iterations: int,
@@ -74,8 +76,9 @@ def plan_contacts(
     atomic: bool,
     serial: bool,
 ) -> ContactPlan:
-    """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, late_part, custom_method: of the
-    integrator; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have work."""
+    """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, late_part, friction_part, custom_method: of
+    the integrator; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have
+    work."""
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
 
@@ -197,6 +200,7 @@ def plan_contacts(
     return ContactPlan(
         **chosen,
         late_part=late_part,
+        friction_part=friction_part,
         iterations=iterations,
         atomic=atomic and not gathers,
         serial=serial,

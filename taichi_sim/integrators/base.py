@@ -43,7 +43,7 @@ class Integrator:
     kernels.springs.edge_blocks; `in_turn`: each sees what those before it changed. `hosted`: a substep has loops that end by what
     they find; `advance` runs one from the host, kernel by kernel, because inside a kernel only the outermost loops run in
     parallel. `allocate` may add fields of the method's own. `pins`: moving ones, or None. `kicks_first`: whether `before_move`
-    does anything. `friction_part`: of a step, for which friction acts where `moving` solves contacts.
+    does anything. `friction_part`: of a step, for which friction acts where `moving` solves contacts, or pairs bounce.
 
     A method has a `substep` and, where that expects more of the one before than contacts, a `prime`; or `parts` in place of both,
     each of which is compiled by itself where a kernel runs on one thread.
@@ -126,8 +126,7 @@ class Integrator:
     def moving(self) -> list[Part]:
         """The parts that kick balls, solve their contacts, move them, and find the contacts where they are then."""
         kicks = [Part(self, "_kick_first", STEP)] if self.kicks_first and self.contacts.active else []
-        solve = self.contacts.solving(self.friction_part)
-        return [*kicks, *solve, Part(self, "_displace", STEP), *self.contacts.finding()]
+        return [*kicks, *self.contacts.solving(), Part(self, "_displace", STEP), *self.contacts.finding()]
 
     @ti.func
     def _kick_first(self, role: ti.template(), h, time):

@@ -3,6 +3,7 @@ several impacts in a step, by impacts in turn and by iterations over all contact
 
 import numpy as np
 import pytest
+from own_methods import Advancing
 from physics_support import F64, GATHERED, VARIANTS, error, simulate
 
 import taichi_sim as ts
@@ -195,3 +196,30 @@ def test_a_ball_on_a_spring_keeps_bouncing_off_another():
             parts.append(0.5 * v**2 + 0.5 * stiffness * (x - 0.07) ** 2 * (1.0 - 0.25 * stiffness * step**2))
         for half in (parts[:40], parts[40:]):
             np.testing.assert_allclose(np.mean(half, axis=0), 0.5 * stiffness * 0.06**2, rtol=0.06)
+
+
+@pytest.mark.parametrize("method", ["explicit_euler", Advancing()], ids=["explicit_euler", "own"])
+def test_methods_that_solve_contacts_in_one_go_throw_back_sprung_balls(method):
+    """A ball that strikes one on a spring leaves it as two free bodies part, before the spring pulls; viscous friction takes
+    1 - exp(-f h) of the speed along their surfaces."""
+    restitution, rate, h = 0.7, 30.0, 1e-3
+    scene = ts.Scene(dim=2, gravity=(0.0, 0.0))
+    scene.add_material("rough", restitution=restitution, viscous_friction=rate)
+    scene.add_balls(
+        [[0.0, 0.0], [-1.0, 0.0], [0.2031, 0.0]],
+        velocity=[[0.0, 0.0], [0.0, 0.0], [-1.2, 0.5]],
+        mass=[3.0, 1.0, 2.0],
+        radius=0.1,
+        material="rough",
+    )
+    scene.add_springs([[0, 1]], stiffness=1e-4)
+    with simulate(scene, dt=h, substeps=1, integrator=method, spin=False) as sim:
+        while sim.velocity[2, 0] < 0.0 and sim.time < 0.01:
+            sim.step(1)
+        v = sim.velocity
+    u = np.array([-1.2, 0.5])
+    x = np.array([0.2031, 0.0])
+    t = (-x @ u - np.sqrt((x @ u) ** 2 - (u @ u) * (x @ x - 0.04))) / (u @ u)
+    n = (x + t * u) / 0.2
+    p = 1.2 * ((1.0 + restitution) * (u @ n) * n + (1.0 - np.exp(-rate * h)) * (u - (u @ n) * n))
+    assert error(v[[0, 2]], [p / 3.0, u - p / 2.0]) < (1e-9 if F64 else 1e-5)

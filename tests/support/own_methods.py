@@ -23,3 +23,19 @@ class Declared(Silent):
     """The same, with its limit."""
 
     method = ts.Method("declared", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
+
+
+@ti.data_oriented
+class Advancing(Silent):
+    """The same, with contacts."""
+
+    method = ts.Method("advancing", order=1)
+
+    @ti.func
+    def substep(self, h, time):
+        self.forces.total(self.ball, h, time)
+        self.contacts.advance(self.ball, self, h, h)
+
+    @ti.func
+    def before_move(self, i, h):
+        self.state.kick(i, self.forces.change(i, h))
