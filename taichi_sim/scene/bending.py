@@ -46,7 +46,8 @@ class BendingMethods:
             hinge: one or one per element: corners 0 and 1 are the hinge between two sides of a rod or sheet, corners 2 and 3
                 their far ends. A side whose balls are all pinned cannot bend. The other one then bears the whole change of
                 angle over its own length, so stiffness and damping rise to those of that side: twice, for equal sides. A rod
-                or sheet is thus clamped exactly at its last pinned balls.
+                or sheet is thus clamped exactly at its last pinned balls. A free corner of the hinge that bears next to none
+                of its weight does not count.
         """
         ij = validation.indices("bending.corners", validation.many(corners, 1), self.n_balls, width=4)
         w = validation.vectors("bending.weights", validation.many(weights, 1), None, 4)
@@ -68,11 +69,16 @@ class BendingMethods:
 
     def held_bending(self: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Stiffness (b,) [N/m] and damping (b,) [N s/m] of the bending elements as they act with the present pins, see
-        `add_bending`. The two sides of a hinge are as long as the inverse weights of their far ends."""
-        held = self.pinned[self.bends]
-        held[:, 2:] &= held[:, :1] & held[:, 1:2] & self.bend_hinge[:, None]
-        size = np.abs(self.bend_weights[:, [3, 2]])  # of side 2 and 3, as 1 / w2 : 1 / w3
-        free = np.where(held[:, 2:], 0.0, size).sum(axis=1)
+        `add_bending`. The two sides of a hinge are as long as the inverse weights of their far ends. They meet between its
+        corners, nearer to the one of more weight. A side counts as held by twice the part of that weight which is held, less 1;
+        the other one must be free."""
+        held, weights = self.pinned[self.bends], self.bend_weights
+        hinge = weights[:, :2].sum(axis=1)
+        share = np.divide((weights * held)[:, :2].sum(axis=1), hinge, out=np.zeros(len(hinge)), where=hinge != 0.0)
+        fixed = np.where(self.bend_hinge, np.clip(2.0 * share - 1.0, 0.0, 1.0), 0.0)
+        size = np.abs(weights[:, [3, 2]])  # of side 2 and 3, as 1 / w2 : 1 / w3
+        one = held[:, 2:] & ~held[:, [3, 2]]  # held by its end, while the other side's is free
+        free = size.sum(axis=1) - fixed * (one * size).sum(axis=1)
         rise = np.divide(size.sum(axis=1), free, out=np.ones(len(free)), where=free > 0.0)
         return self.bend_stiffness * rise, self.bend_damping * rise
 

@@ -92,7 +92,8 @@ RUBBER = {"modulus": 2e6, "ratio": 0.49, "density": 925.0}  # Pa, 1, kg/m^3
 
 PRESETS: dict[str, Preset] = {
     "cotton": Preset(
-        f"{_MATSUDAIRA}, a broadcloth: weight and mean bending rigidity (KES); {_ESTIMATED}; {_TOUCH}",
+        f"{_MATSUDAIRA}, a broadcloth: weight and mean bending rigidity (KES), without the friction of its threads, with which it"
+        f" drapes as if that rigidity were 2.4 times as large; {_ESTIMATED}; {_TOUCH}",
         *(0.0, 0.4, 12.38 * KES_WEIGHT, 200.0, 30.0, 0.118 * KES_BENDING),
         **_THREADS,
         shear=KES_SHEAR,

@@ -265,6 +265,22 @@ def test_a_clamp_is_at_the_last_held_balls(kind):
     assert -x[tip, 1].mean() == pytest.approx(mass * 10 * (1 - a) ** 4 / (8 * rigidity) * (1 + more), rel=0.01)
 
 
+@pytest.mark.once
+def test_rows_that_are_not_quite_straight_are_clamped_as_straight_ones():
+    """A strip of triangles of equal sides, held by two rows. Moved by 1e-4 of a side its rows have a fourth ball beside them,
+    held or free, which bears next to nothing; it sags as it did."""
+    wide, rows, mass = 18, 9, 3e-5
+    flat = mesh_of((1.0, rows / wide * np.sqrt(0.75)), (wide, rows), "even")
+    away = 1e-4 / wide * np.random.default_rng(5).uniform(-1, 1, flat.vertices.shape) * [1, 0, 1]
+    pinned, sags = np.flatnonzero(flat.vertices[:, 2] < 1.1 / wide), []
+    for place in (flat.vertices, flat.vertices + away):
+        scene = Scene(dim=3, gravity=(0, -10, 0))
+        made = {"stretch_stiffness": STRETCH, "bending_rigidity": RIGIDITY, "mass_per_area": mass}
+        shapes.cloth(scene, mesh=Surface(place, flat.triangles), pinned=pinned, **made)
+        sags.append(at_rest(scene, most=1e-7)[0][flat.vertices[:, 2] > (rows - 0.5) / wide * np.sqrt(0.75), 1].mean())
+    assert sags[1] == pytest.approx(sags[0], rel=6e-3)
+
+
 def test_a_hinge_counts_by_the_part_that_is_free():
     """Sides of 1 and 3 m: with the first held the element is 3 of 4 m long, with the second 1, with none or both all of it."""
     scene = Scene(dim=2)
@@ -277,6 +293,14 @@ def test_a_hinge_counts_by_the_part_that_is_free():
         stiffness, damping = scene.held_bending()
         assert stiffness == pytest.approx([6.0 * rise, 6.0])
         assert damping == pytest.approx([3.0 * rise, 3.0])
+    scene = Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [1.0, 1.0]], radius=0.1)
+    for part in (0.1, 0.4, 0.7, -0.05):  # of the hinge's weight on its other end, which is free
+        scene.add_bending([[1, 3, 0, 2]], weights=[2 * part - 2, -2 * part, 1.0, 1.0], stiffness=1.0, hinge=True)
+    scene.set_balls(pinned=[True, True, False, False])
+    assert scene.held_bending()[0] == pytest.approx([1 / (1 - 0.4), 1 / (1 - 0.1), 1.0, 2.0])
+    scene.set_balls(pinned=[True, True, True, False])  # the other does not feel how those that are held are folded
+    assert scene.held_bending()[0] == pytest.approx(1.0)
     with pytest.raises(SceneError, match=r"bending\.weights\[0\]: .* of one sign"):
         scene.add_bending([[0, 1, 1, 2]], weights=[1.0, -1.0, -1.0, 1.0], stiffness=1.0, hinge=True)
 
