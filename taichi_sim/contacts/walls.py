@@ -257,7 +257,10 @@ class Walls(Surfaces):
                 self.contact[c].role = role
                 if ti.static(self.has_colliders and impacts):
                     if target == 0.0 and self.is_solved(c) and role != REACHABLE:
-                        target = self.following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
+                        slides = v
+                        if ti.static(self.model.has_friction):  # else what friction stops would be lifted off a hollow
+                            slides += self.model.inverse_mass[i] * self.contact[c].tangential_impulse
+                        target = self.following(ball[i].x, slides, i, k, 1.0 / solver.rate[0])
                 self.contact[c].target = target + lost
                 if ti.static(starts):
                     p = self.contact[c].impulse * n
