@@ -50,6 +50,7 @@ class HeldBalls:
         self.model, self.walls, self.dim = model, walls, model.dim
         self.rubs, self.eps = model.has_friction, 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rate = method.contacts.rate  # 1/s
+        self.ends = fields.reals(np.array(method.ends))
         walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
@@ -78,23 +79,27 @@ class HeldBalls:
         elements; and, if it `meets` any in this stage, the planes that it would go through. Returns its velocity, with which
         it is at these when the stage ends: where it bounces it is elsewhere, but not in them.
         """
-        held, v = 0, start.v
+        held, v, x = 0, start.v, self.walls.state.ball[i].x
+        ends, shift = s, 0.0 * v  # the end of the stage since that of the step before; the way until the stage begins
+        if meets:
+            ends, shift = self.ends[stage] / self.rate[0], start.x - x
+        way = shift + s * (start.v + change)
         for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
             c, holds = i * self.walls.count + k, False
-            gap = self.walls.gap(self.walls.state.ball[i].x, i, k)
+            gap = self.walls.gap(x, i, k)
             self.contact[c].target = -FAR_GAP
             if gap < FAR_GAP:
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
+                ahead = n.dot(shift + (ends - s) * self.walls.relative(0.0 * v, i, k))
                 if self.walls.contact[c].role == RESTING:
-                    self.contact[c].target = self.walls.following(
-                        self.walls.state.ball[i].x, start.v + change, i, k, 1.0 / self.rate[0]
-                    )
-                    holds = self.walls.contact[c].impulse > 0.0 or approach > -self.contact[c].target
-                elif meets:
-                    ahead = ti.max(0.0, gap) + n.dot(start.x - self.walls.state.ball[i].x)
+                    ahead -= ends * self.walls.following(x, way / ends, i, k, ends)
+                    holds = self.walls.contact[c].impulse > 0.0 or s * approach > ahead
                     self.contact[c].target = -ahead / s
+                elif meets:
+                    ahead += ti.max(0.0, gap)
                     holds = s * approach > ahead
+                    self.contact[c].target = -ahead / s
             self.contact[c].holds = ti.cast(holds, ti.i32)
             held += ti.cast(holds, ti.i32)
         self.normals[i] = ti.Matrix.zero(float, self.dim, self.dim)

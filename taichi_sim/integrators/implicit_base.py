@@ -37,6 +37,7 @@ class Implicit(Integrator):
     stages = 1
     opening = 0
     part = 1.0
+    ends = (1.0,)
     takes_springs = True
     takes_gas = False
     tolerance = 1e-3

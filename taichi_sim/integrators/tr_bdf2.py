@@ -38,6 +38,7 @@ class TRBDF2(Implicit):
     late_part = 1.0
     stages, opening = 3, 1
     part = 0.5 * GAMMA
+    ends = (part, GAMMA, 1.0)
     friction_part = 0.5
 
     def allocate(self, fields: Fields) -> None:
