@@ -29,7 +29,8 @@ class Implicit(Integrator):
 
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`, parts that
     move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how
-    many of the `stages` run only in a step after `prime`. tolerance: of each solution, see StageSolver.
+    many of the `stages` run only in a step after `prime`. `ends`: when each stage ends, in steps since the last one. `carries`: the
+    part of what the stage before gave that is in the places at its end as its own is. tolerance: of each solution, see StageSolver.
     """
 
     each_once = True
@@ -38,6 +39,7 @@ class Implicit(Integrator):
     opening = 0
     part = 1.0
     ends = (1.0,)
+    carries = (0.0,)
     takes_springs = True
     takes_gas = False
     tolerance = 1e-3

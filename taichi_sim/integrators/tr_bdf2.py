@@ -39,6 +39,7 @@ class TRBDF2(Implicit):
     stages, opening = 3, 1
     part = 0.5 * GAMMA
     ends = (part, GAMMA, 1.0)
+    carries = (0.0, 0.0, MIDDLE)
     friction_part = 0.5
 
     def allocate(self, fields: Fields) -> None:
@@ -161,5 +162,9 @@ class TRBDF2(Implicit):
 
     @ti.func
     def acceleration(self, i, h):
-        """The mean of the step."""
-        return self.pull[i]
+        """The mean of the step; none of what rests, whose stages ended where even motion leads."""
+        pull = self.pull[i]
+        if ti.static(self.solves and self.solver.holds):
+            if self.solver.held.rests(i):
+                pull *= 0.0
+        return pull
