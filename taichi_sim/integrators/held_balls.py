@@ -91,6 +91,7 @@ class HeldBalls:
             gap = self.walls.gap(x, i, k)
             self.contact[c].target = -FAR_GAP
             if gap < FAR_GAP:
+                self.walls.end_foreseen(i, k, gap)
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
                 ahead = n.dot(shift + (ends - s) * self.walls.relative(0.0 * v, i, k))
@@ -235,9 +236,7 @@ class HeldBalls:
             self.rubbed[i] = self.rub(i, v)
             self.reaction[i] = self.reaction[i] - self.rubbed[i]
             self.last_most[stage * self.model.n + i] = self.friction[i].most
-            for k in range(self.walls.count):
-                if self._rubs_at(i, k) and self.walls.contact[i * self.walls.count + k].role != RESTING:
-                    self.walls.foresee(i, k)
+            self.foresee(i)
         return v + self.reaction[i]
 
     @ti.func
@@ -276,12 +275,21 @@ class HeldBalls:
 
     @ti.func
     def rests(self, i):
-        """True if a surface that ball i does not bounce off pushed it in the last stage."""
+        """True if contacts solve for a surface of ball i, which does not bounce off it when it moves."""
         found = False
         for c in range(i * self.walls.count, ti.select(self.joined[i] == 1, i + 1, i) * self.walls.count):
-            pushed = self.contact[c].holds == 1 and self.contact[c].push > 0.0
-            found = found or (pushed and self.walls.contact[c].role == RESTING)
+            found = found or self.walls.contact[c].role == RESTING
         return found
+
+    @ti.func
+    def foresee(self, i):
+        """Leave those surfaces to contacts that ball i was solved to reach, and does not touch yet, or not for rounding."""
+        if ti.static(self.rubs):
+            for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
+                c = i * self.walls.count + k
+                if self.walls.contact[c].role != RESTING and self.walls.gap(self.walls.state.ball[i].x, i, k) < FAR_GAP:
+                    if self._rubs_at(i, k):
+                        self.walls.foresee(i, k)
 
     # Friction
 
