@@ -236,7 +236,7 @@ class HeldBalls:
             self.rubbed[i] = self.rub(i, v)
             self.reaction[i] = self.reaction[i] - self.rubbed[i]
             self.last_most[stage * self.model.n + i] = self.friction[i].most
-            self.foresee(i)
+        self.foresee(i)
         return v + self.reaction[i]
 
     @ti.func
@@ -284,12 +284,11 @@ class HeldBalls:
     @ti.func
     def foresee(self, i):
         """Leave those surfaces to contacts that ball i was solved to reach, and does not touch yet, or not for rounding."""
-        if ti.static(self.rubs):
-            for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
-                c = i * self.walls.count + k
-                if self.walls.contact[c].role != RESTING and self.walls.gap(self.walls.state.ball[i].x, i, k) < FAR_GAP:
-                    if self._rubs_at(i, k):
-                        self.walls.foresee(i, k)
+        for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
+            c = i * self.walls.count + k
+            if self.walls.contact[c].role != RESTING and self.walls.gap(self.walls.state.ball[i].x, i, k) < FAR_GAP:
+                if self._stays_at(i, k):
+                    self.walls.foresee(i, k)
 
     # Friction
 
@@ -387,13 +386,13 @@ class HeldBalls:
         """Bound the friction of ball i by its pushes."""
         most = self.friction[i].before
         for k in range(self.walls.count):
-            if self._rubs_at(i, k):
+            if self._stays_at(i, k):
                 most += self.walls.law(i, k).friction * self.contact[i * self.walls.count + k].push
         self.friction[i].most = most
 
     @ti.func
-    def _rubs_at(self, i, k):
-        """True if the friction of ball i at its surface k acts in the stage: that of a bounce does when it moves."""
+    def _stays_at(self, i, k):
+        """True if surface k pushes ball i in the stage, with friction, and not when it moves, in a bounce."""
         c, yes = i * self.walls.count + k, False
         if self.contact[c].holds == 1 and self.contact[c].push > 0.0:
             yes = self.walls.contact[c].role == RESTING or self.walls.law(i, k).restitution == 0.0
