@@ -7,8 +7,8 @@ then is the impulse of the surface, which must push. The stage ends with velocit
 finds it, as any other load, and bears it.
 
 Friction that followed the stage would strain elements after they were solved for, which gives energy. So it acts in the stage
-too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. Both b and u are those
-of the solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
+too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. The slip u is that of the way
+since the start of the step, so that friction works on nothing that moves past the surface. Both b and u are those of the solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
 direction, which is implicit.
 """
 
@@ -43,7 +43,10 @@ class HeldBalls:
     solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
     surface k: whether it `holds`, the `target` of the speed away from it, -FAR_GAP where the ball cannot reach it, and its
     `push` [m/s]. `friction`: the `most` that it can change a velocity by [m/s], and its `drag`, in this solution and the `next`.
-    `last_most`: the most in each stage of the step before. `carried` [m/s]: velocity of what moves and holds a ball.
+    `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before
+    the stage begins, over the length of this, and `span`, the time from the start of the step to the end of the stage, over the
+    same; `carried`, the velocity with which it ends the stage if it does not slide; `rubbed`, what friction changed in the last
+    stage, and `kept`, the part of that in this one.
     """
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
@@ -73,11 +76,11 @@ class HeldBalls:
 
     @ti.func
     def choose(self, i, v, shift, change, q, s, stage):
-        """Choose the surfaces that hold ball i in a stage of s seconds, which begins with the velocity v at a `shift` [m] from its
-        place; v is expected to `change`.
+        """Choose the surfaces that hold ball i in a stage of s seconds. It begins with the velocity v at a `shift` [m] from the
+        place of the ball; v is expected to `change`.
 
         They are those that bore a load in the step before; those that it would go into at the velocity q that it has without
-        elements; and, if it `meets` any in this stage, the planes that it would go through. Returns its velocity, with which
+        elements; and, but in an opening stage, the surfaces that it would go through. Returns its velocity, with which
         it is at these when the stage ends: where it bounces it is elsewhere, but not in them.
         """
         held, x, meets, ends = 0, self.walls.state.ball[i].x, stage >= self.opening, s

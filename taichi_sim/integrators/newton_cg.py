@@ -439,9 +439,7 @@ class StageSolver(Verdicts):
         self.free.find_means(self.base, self.q)
         if ti.static(self.holds):
             for i in range(self.n):
-                self.base[i].v = self.held.choose(
-                    i, self.base[i].v, self._shift(i), self.dv[i], self.q[i], s, stage
-                )
+                self.base[i].v = self.held.choose(i, self.base[i].v, self._shift(i), self.dv[i], self.q[i], s, stage)
                 self.dv[i] = self.held.along(i, self.dv[i])
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
