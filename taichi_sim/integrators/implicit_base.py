@@ -39,8 +39,8 @@ class Implicit(Integrator):
     stages = 1
     opening = 0
     part = 1.0
-    ends = (1.0,)
-    carries = (0.0,)
+    ends: tuple[float, ...] = (1.0,)
+    carries: tuple[float, ...] = (0.0,)
     takes_springs = True
     takes_gas = False
     tolerance = 1e-3
