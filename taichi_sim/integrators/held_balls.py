@@ -7,8 +7,8 @@ then is the impulse of the surface, which must push. The stage ends with velocit
 finds it, as any other load, and bears it.
 
 Friction that followed the stage would strain elements after they were solved for, which gives energy. So it acts in the stage
-too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. The slip is that of the
-way since the start of the step, so that friction does no work on what moves past a surface. Both b and u are those of the
+too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. The slip is that of
+the way since the start of the step, so that friction does no work on what moves past a surface. Both b and u are those of the
 solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
 direction, which is implicit.
 """
