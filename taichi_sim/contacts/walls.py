@@ -186,6 +186,16 @@ class Walls(Surfaces):
             self.touching[i] = self.touching[i] + 1
 
     @ti.func
+    def end_foreseen(self, i, k, gap):
+        """Forget contact k of ball i where a solve that ended a step had it reached, and it is not touched."""
+        c = i * self.count + k
+        if self.contact[c].role == RESTING and gap > self.touch(self.state.ball[i].x, i, k):
+            self.forget(c)
+            self.contact[c].role = LEAVING
+            self.touching[i] = self.touching[i] - 1
+            self.mass_parts[i] = ti.max(1.0, self.mass_parts[i] - 1.0)
+
+    @ti.func
     def shares(self, ball: ti.template(), i):
         """Sum of n n^T over the walls that ball i touches, and their number."""
         T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
@@ -248,7 +258,10 @@ class Walls(Surfaces):
                 self.contact[c].role = role
                 if ti.static(self.has_colliders and impacts):
                     if target == 0.0 and self.is_solved(c) and role != REACHABLE:
-                        target = self.following(ball[i].x, v, i, k, 1.0 / solver.rate[0])
+                        slides = v
+                        if ti.static(self.model.has_friction):  # else what friction stops would be lifted off a hollow
+                            slides += self.model.inverse_mass[i] * self.contact[c].tangential_impulse
+                        target = self.following(ball[i].x, slides, i, k, 1.0 / solver.rate[0])
                 self.contact[c].target = target + lost
                 if ti.static(starts):
                     p = self.contact[c].impulse * n

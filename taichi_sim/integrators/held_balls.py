@@ -7,8 +7,9 @@ then is the impulse of the surface, which must push. The stage ends with velocit
 finds it, as any other load, and bears it.
 
 Friction that followed the stage would strain elements after they were solved for, which gives energy. So it acts in the stage
-too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. Both b and u are those
-of the solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
+too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. The slip is that of
+the way since the start of the step, so that friction does no work on what moves past a surface. Both b and u are those of the
+solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
 direction, which is implicit.
 """
 
@@ -43,13 +44,17 @@ class HeldBalls:
     solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
     surface k: whether it `holds`, the `target` of the speed away from it, -FAR_GAP where the ball cannot reach it, and its
     `push` [m/s]. `friction`: the `most` that it can change a velocity by [m/s], and its `drag`, in this solution and the `next`.
-    `last_most`: the most in each stage of the step before. `carried` [m/s]: velocity of what moves and holds a ball.
+    `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before
+    the stage begins, over the length of this, and `span`, the time from the start of the step to the end of the stage, over the
+    same; `carried`, the velocity with which it ends the stage if it does not slide; `rubbed`, what friction changed in the last
+    stage, and `kept`, the part of that in this one.
     """
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
         self.rubs, self.eps = model.has_friction, 2.0**-52 if fields.real == ti.f64 else 2.0**-23
         self.rate = method.contacts.rate  # 1/s
+        self.ends, self.opening = fields.reals(np.array(method.ends)), method.opening
         walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
@@ -58,11 +63,12 @@ class HeldBalls:
         )
         if self.rubs:
             self.friction = fields.table(
-                {"most": fields.real, "drag": fields.real, "next": fields.real, "wrong": fields.real}, model.n
+                dict.fromkeys(("most", "before", "drag", "next", "wrong"), fields.real), model.n
             )
             self.last_most = fields.reals(model.n * method.stages)
-            if walls.moves:
-                self.carried = fields.vectors(model.n, model.dim)
+            self.span = fields.reals(model.n)
+            self.carries = fields.reals(np.array(method.carries))
+            self.moved, self.carried, self.kept, self.rubbed = (fields.vectors(model.n, model.dim) for _ in range(4))
         self.bodies, self.wide = bodies, fields.wide
         square = ti.types.matrix(self.dim, self.dim, fields.wide)
         self.part = bodies.columns({"stops": square, "drags": square, "mass": fields.wide})
@@ -70,31 +76,37 @@ class HeldBalls:
         self.joined = fields.integers((bodies.joined[bodies.body] & ~model.scene.pinned).astype(np.int32))
 
     @ti.func
-    def choose(self, i, start, change, q, s, stage, meets):
-        """Choose the surfaces that hold ball i in a stage of s seconds from `start`, its place and velocity, which is expected to
-        `change`.
+    def choose(self, i, v, shift, change, q, s, stage):
+        """Choose the surfaces that hold ball i in a stage of s seconds. It begins with the velocity v at a `shift` [m] from the
+        place of the ball; v is expected to `change`.
 
         They are those that bore a load in the step before; those that it would go into at the velocity q that it has without
-        elements; and, if it `meets` any in this stage, the planes that it would go through. Returns its velocity, with which
+        elements; and, but in an opening stage, the surfaces that it would go through. Returns its velocity, with which
         it is at these when the stage ends: where it bounces it is elsewhere, but not in them.
         """
-        held, v = 0, start.v
+        held, x, meets, ends = 0, self.walls.state.ball[i].x, stage >= self.opening, s
+        if meets:
+            ends = self.ends[stage] / self.rate[0]
+        else:
+            shift *= 0.0
+        expected = v + change
         for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
             c, holds = i * self.walls.count + k, False
-            gap = self.walls.gap(self.walls.state.ball[i].x, i, k)
+            gap = self.walls.gap(x, i, k)
             self.contact[c].target = -FAR_GAP
             if gap < FAR_GAP:
+                self.walls.end_foreseen(i, k, gap)
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
+                ahead = n.dot(shift + (ends - s) * self.walls.relative(0.0 * v, i, k))
                 if self.walls.contact[c].role == RESTING:
-                    self.contact[c].target = self.walls.following(
-                        self.walls.state.ball[i].x, start.v + change, i, k, 1.0 / self.rate[0]
-                    )
-                    holds = self.walls.contact[c].impulse > 0.0 or approach > -self.contact[c].target
-                elif meets:
-                    ahead = ti.max(0.0, gap) + n.dot(start.x - self.walls.state.ball[i].x)
+                    ahead -= ends * self.walls.following(x, (shift + s * expected) / ends, i, k, ends)
+                    holds = self.walls.contact[c].impulse > 0.0 or s * approach > ahead
                     self.contact[c].target = -ahead / s
+                elif meets:
+                    ahead += ti.max(0.0, gap)
                     holds = s * approach > ahead
+                    self.contact[c].target = -ahead / s
             self.contact[c].holds = ti.cast(holds, ti.i32)
             held += ti.cast(holds, ti.i32)
         self.normals[i] = ti.Matrix.zero(float, self.dim, self.dim)
@@ -104,7 +116,9 @@ class HeldBalls:
             if self.holds(i):
                 v = self._with_targets(i, v)
         if ti.static(self.rubs):
-            self._expect_friction(i, v + change, stage)
+            self.moved[i] = shift / s
+            self.span[i] = ends / s
+            self._expect_friction(i, expected, stage)
         return v
 
     @ti.func
@@ -223,11 +237,10 @@ class HeldBalls:
         if ti.static(self.rubs):
             self._bound_friction(i)
             self.friction[i].drag = self._allowed_drag(i, v)
-            self.reaction[i] = self.reaction[i] - self.rub(i, v)
+            self.rubbed[i] = self.rub(i, v)
+            self.reaction[i] = self.reaction[i] - self.rubbed[i]
             self.last_most[stage * self.model.n + i] = self.friction[i].most
-            for k in range(self.walls.count):
-                if self._rubs_at(i, k) and self.walls.contact[i * self.walls.count + k].role != RESTING:
-                    self.walls.foresee(i, k)
+        self.foresee(i)
         return v + self.reaction[i]
 
     @ti.func
@@ -264,31 +277,52 @@ class HeldBalls:
         self.part[c].drags = drags
         self.part[c].mass = mass
 
+    @ti.func
+    def rests(self, i):
+        """True if contacts solve for a surface of ball i, which does not bounce off it when it moves."""
+        found = False
+        for c in range(i * self.walls.count, ti.select(self.joined[i] == 1, i + 1, i) * self.walls.count):
+            found = found or self.walls.contact[c].role == RESTING
+        return found
+
+    @ti.func
+    def foresee(self, i):
+        """Leave those surfaces to contacts that ball i was solved to reach, and does not touch yet, or not for rounding."""
+        for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
+            c = i * self.walls.count + k
+            if self.walls.contact[c].role != RESTING and self.walls.gap(self.walls.state.ball[i].x, i, k) < FAR_GAP:
+                if self._stays_at(i, k):
+                    self.walls.foresee(i, k)
+
     # Friction
 
     @ti.func
     def _expect_friction(self, i, v, stage):
         """Expect as much friction on ball i, at the velocity v, as in this stage of the step before; none if nothing holds it."""
         self.friction[i].most = ti.select(self.holds(i), self.last_most[stage * self.model.n + i], 0.0)
+        carries, before = self.carries[stage], ti.max(0, stage - 1) * self.model.n + i
+        self.friction[i].before = carries * self.last_most[before]
+        self.kept[i] = carries * self.rubbed[i]
         self._note_carrier(i)
         self.friction[i].drag = self._drag(i, v)
 
     @ti.func
     def _note_carrier(self, i):
-        """Note the velocity of what holds ball i."""
+        """Note the velocity with which ball i ends the stage where what holds it carries it."""
+        carried, at_rest = -self.moved[i], ti.Vector.zero(float, self.dim)
         if ti.static(self.walls.moves):
-            at_rest = ti.Vector.zero(float, self.dim)
-            self.carried[i] = at_rest
+            of_surface = at_rest
             for k in range(self.walls.count):
                 if self.contact[i * self.walls.count + k].holds == 1:
-                    self.carried[i] = -self.walls.relative(at_rest, i, k)
+                    of_surface = -self.walls.relative(at_rest, i, k)
+            carried += self.span[i] * of_surface
+        self.carried[i] = carried
 
     @ti.func
     def slip(self, i, v):
-        """Velocity of ball i, given its own, along the surfaces that hold it."""
-        if ti.static(self.walls.moves):
-            v -= self.carried[i]
-        return self.along(i, v)
+        """Way of ball i along the surfaces that hold it, from the start of the step to the end of the stage, which it leaves with
+        the velocity v; over the length of the stage [m/s]."""
+        return self.along(i, v - self.carried[i])
 
     @ti.func
     def _drag(self, i, v):
@@ -300,18 +334,23 @@ class HeldBalls:
     @ti.func
     def _slowest(self, i, v):
         """Slip [m/s] below which ball i, at the velocity v, sticks."""
-        rounded = (ROUNDING * self.eps) ** 2 * v.norm_sqr()
+        rounded = (ROUNDING * self.eps) ** 2 * (v.norm_sqr() + self.carried[i].norm_sqr())
         return ti.sqrt((STUCK * self.friction[i].most) ** 2 + rounded)
 
     @ti.func
     def rub(self, i, v):
         """Change of the velocity v of ball i by friction [m/s]."""
-        return -self.friction[i].drag * self.slip(i, v)
+        return -self.friction[i].drag * self.slip(i, v) - self._kept(i)
+
+    @ti.func
+    def _kept(self, i):
+        """The part of friction that was given in the stage before [m/s]."""
+        return ti.select(self.holds(i), 1.0, 0.0) * self.along(i, self.kept[i])
 
     @ti.func
     def potential(self, i, v):
         """Potential of friction at the velocity v of ball i, over its mass [J/kg]."""
-        return 0.5 * self.friction[i].drag * self.slip(i, v).norm_sqr()
+        return 0.5 * self.friction[i].drag * self.slip(i, v).norm_sqr() + self._kept(i).dot(v)
 
     @ti.func
     def _change_of_friction(self, i, v, inverse):
@@ -349,15 +388,15 @@ class HeldBalls:
     @ti.func
     def _bound_friction(self, i):
         """Bound the friction of ball i by its pushes."""
-        most = 0.0 * self.friction[i].most
+        most = self.friction[i].before
         for k in range(self.walls.count):
-            if self._rubs_at(i, k):
+            if self._stays_at(i, k):
                 most += self.walls.law(i, k).friction * self.contact[i * self.walls.count + k].push
         self.friction[i].most = most
 
     @ti.func
-    def _rubs_at(self, i, k):
-        """True if the friction of ball i at its surface k acts in the stage: that of a bounce does when it moves."""
+    def _stays_at(self, i, k):
+        """True if surface k pushes ball i in the stage, with friction, and not when it moves, in a bounce."""
         c, yes = i * self.walls.count + k, False
         if self.contact[c].holds == 1 and self.contact[c].push > 0.0:
             yes = self.walls.contact[c].role == RESTING or self.walls.law(i, k).restitution == 0.0

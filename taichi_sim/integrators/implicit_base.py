@@ -29,7 +29,9 @@ class Implicit(Integrator):
 
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`, parts that
     move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how
-    many of the `stages` run only in a step after `prime`. tolerance: of each solution, see StageSolver.
+    many of the `stages` run only in a step after `prime`. `ends`: when each stage ends, in steps since the step before.
+    `carries`: weight of what the stage before gave in the places where a stage ends; that of its own is 1. tolerance: of each
+    solution, see StageSolver.
     """
 
     each_once = True
@@ -37,6 +39,8 @@ class Implicit(Integrator):
     stages = 1
     opening = 0
     part = 1.0
+    ends: tuple[float, ...] = (1.0,)
+    carries: tuple[float, ...] = (0.0,)
     takes_springs = True
     takes_gas = False
     tolerance = 1e-3

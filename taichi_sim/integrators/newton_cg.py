@@ -83,7 +83,7 @@ class StageSolver(Verdicts):
                  fields: Fields, method: Any) -> None:  # fmt: skip
         self.model, self.springs = model, springs
         self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
-        self.opening = method.opening
+        self.state = method.state
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.kick, self.first, self.low = (fields.vectors(self.n, self.dim) for _ in range(4))
@@ -439,13 +439,19 @@ class StageSolver(Verdicts):
         self.free.find_means(self.base, self.q)
         if ti.static(self.holds):
             for i in range(self.n):
-                self.base[i].v = self.held.choose(
-                    i, self.base[i], self.dv[i], self.q[i], s, stage, stage >= self.opening
-                )
+                self.base[i].v = self.held.choose(i, self.base[i].v, self._shift(i), self.dv[i], self.q[i], s, stage)
                 self.dv[i] = self.held.along(i, self.dv[i])
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             self.begin_body(b)
+
+    @ti.func
+    def _shift(self, i):
+        """Way [m] from the place of ball i to where the stage begins."""
+        shift = (self.base[i].x - self.state.ball[i].x) + self.low[i]
+        if ti.static(self.state.compensated):
+            shift -= self.state.low[i].x
+        return shift
 
     @ti.func
     def start_search(self):

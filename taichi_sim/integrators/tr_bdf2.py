@@ -38,6 +38,8 @@ class TRBDF2(Implicit):
     late_part = 1.0
     stages, opening = 3, 1
     part = 0.5 * GAMMA
+    ends = (part, GAMMA, 1.0)
+    carries = (0.0, 0.0, MIDDLE)
     friction_part = 0.5
 
     def allocate(self, fields: Fields) -> None:
@@ -139,6 +141,8 @@ class TRBDF2(Implicit):
         for i in range(self.model.n):
             self.contacts.record_thrown_back(i, self.rest[i])
             self.state.kick(i, self.contacts.second_half(i, self.rest[i]))
+            if ti.static(self.solves and self.solver.holds):
+                self.solver.held.foresee(i)
             if ti.static(self.answers):
                 if self.contacts.bounced(i):
                     self.struck[self.solver.bodies.of(i)] = 1
@@ -160,5 +164,9 @@ class TRBDF2(Implicit):
 
     @ti.func
     def acceleration(self, i, h):
-        """The mean of the step."""
-        return self.pull[i]
+        """The mean of the step; none of a ball that rests, whose stages ended where even motion leads."""
+        pull = self.pull[i]
+        if ti.static(self.solves and self.solver.holds):
+            if self.solver.held.rests(i):
+                pull *= 0.0
+        return pull

@@ -74,7 +74,12 @@ def test_what_lands_on_stiff_springs_gains_no_energy_and_leaves_again(method, h)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "h", "friction"),
-    [("implicit_euler", 1 / 90, 0.0), ("implicit_euler", 1 / 70, 0.35), ("tr_bdf2", 1 / 200, 0.0)],
+    [
+        ("implicit_euler", 1 / 90, 0.0),
+        ("implicit_euler", 1 / 70, 0.35),
+        ("tr_bdf2", 1 / 75, 0.0),
+        ("tr_bdf2", 1 / 100, 0.35),
+    ],
 )
 def test_a_sheet_that_lands_on_a_smooth_sphere_gains_no_energy(method, h, friction):
     scene = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0))
@@ -178,9 +183,57 @@ def test_what_turns_pulls_at_a_stiff_spring_with_friction_and_no_more(method):
             for _ in range(12):
                 sim.step()
                 pulls.append([sim.probe(f"spring_{i}.tension") for i in range(2)])
-            right = 2 if method == "implicit_euler" else 1  # in a drum TR-BDF2 is off by 11 %
-            found = np.mean(pulls, axis=0)[:right] / (friction * mass * 10.0)
+            found = np.mean(pulls, axis=0) / (friction * mass * 10.0)
             assert np.abs(found - 1.0).max() < 0.02, ratio
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_friction_holds_a_stiff_pair_in_a_hollow_without_its_spring(method):
+    """Balls that stick were led as if they slid: a hollow lifted them off. In one that turns they slide up together."""
+    mass, radius, across, hollow, h = 0.4, 0.025, 0.18, 0.9, 1 / 45
+
+    def pair(ratio, turn):
+        scene, reach = ts.Scene(dim=2, gravity=(0.0, -10.0)), hollow - radius
+        scene.add_material("felt", friction=0.35)
+        scene.add_collider(ts.Sphere((0.0, hollow), hollow, material="felt", hollow=0.1, rotation_rate=turn))
+        height = hollow - np.sqrt(reach**2 - across**2)
+        scene.add_balls([[-across, height], [across, height]], radius=radius, mass=mass, material="felt")
+        scene.add_springs([[0, 1]], stiffness=ratio * mass / h**2, damping=8.0)
+        scene.add_probe("spring", "tension", spring=0)
+        scene.settings["dt"] = h
+        return scene
+
+    pressed = mass * 10.0 * across / np.sqrt((hollow - radius) ** 2 - across**2)  # N, by two that slide at the bottom
+    with simulate(pair(2.0, 1e-6), integrator=method, substeps=1) as sim:
+        for ratio in (2.0, 120.0) if F64 else (2.0,):  # h^2 k / m
+            for turn, right, allowed in ((1e-6, 0.0, 0.02), (150.0, -pressed, 0.1)):
+                sim.reset(pair(ratio, turn))
+                sim.step(70)
+                pulls = []
+                for _ in range(15):
+                    sim.step()
+                    pulls.append(sim.probe("spring.tension"))
+                assert abs(np.mean(pulls) - right) < allowed * pressed, (ratio, turn)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_what_slides_goes_on_from_a_file_with_the_same_bits(method, tmp_path):
+    """Friction of the step before is where that of the next begins."""
+    scene, place = ts.Scene(dim=2, gravity=(3.0, -9.0)), np.array([[0.0, 0.02], [0.1, 0.02], [0.05, 0.1]])
+    scene.add_material("felt", friction=0.3)
+    scene.add_balls(place, velocity=(0.4, 0.0), mass=0.2, radius=0.02, material="felt")
+    scene.add_springs([[0, 1], [0, 2], [1, 2]], stiffness=3e4, damping=3.0)
+    scene.add_wall((0.0, 1.0), material="felt")
+    with simulate(scene, integrator=method, dt=1 / 90, substeps=1) as sim:
+        sim.step(17)
+        sim.save(tmp_path / "sliding.npz")
+        sim.step(20)
+        found = np.stack([sim.position, sim.velocity])
+    with ts.Simulation.restore(tmp_path / "sliding.npz") as sim:
+        sim.step(20)
+        assert np.array_equal(found, [sim.position, sim.velocity])
 
 
 # Bodies of all kinds at any step ------------------------------------------------------------------------------------
