@@ -173,7 +173,7 @@ def mesh_distance(colliders: ti.template(), shape, p, touch, exact):
     top = ti.cast(shape.cells, float) - 1.0
     inner = ti.max(ti.min(g, top), 0.0)
     cell = ti.min(ti.cast(ti.floor(inner), ti.i32), shape.cells - 2)
-    first = shape.first + (cell[2] * shape.cells[1] + cell[1]) * shape.cells[0] + cell[0]
+    first = first_corner(shape, cell)
     row = colliders.exact[first]
     d, n = 0.0 * p[0], 0.0 * p
     if row >= 0:
@@ -191,6 +191,26 @@ def mesh_distance(colliders: ti.template(), shape, p, touch, exact):
         if (exact or is_beyond) and d < reach:
             d, n = distance_by_tree(colliders, shape, -1 - row, p)
     return d, n
+
+
+@ti.func
+def has_exact_cell(colliders: ti.template(), k, x, reach):
+    """True if all within `reach` [m] of x, at the start of a step, lies in one cell of the grid of mesh k whose distances come
+    from triangles: there nothing is rounded."""
+    shape = colliders.shape[k]
+    g = (local(colliders, k, x, 0.0) - shape.low) * shape.inverse_cell
+    cell = ti.cast(ti.floor(g), ti.i32)
+    part, wide = g - ti.cast(cell, float), reach * shape.inverse_cell
+    yes = part.min() >= wide and part.max() <= 1.0 - wide and cell.min() >= 0 and (shape.cells - 2 - cell).min() >= 0
+    if yes:
+        yes = colliders.exact[first_corner(shape, cell)] >= 0
+    return yes
+
+
+@ti.func
+def first_corner(shape, cell):
+    """Number of the lowest corner of this cell (3) in the tables of all grids."""
+    return shape.first + (cell[2] * shape.cells[1] + cell[1]) * shape.cells[0] + cell[0]
 
 
 @ti.func

@@ -6,11 +6,12 @@ lowest corner of the grid [m], the width of a cell [m], by which part of it `win
 """
 
 from taichi_sim.kernels.contacts.closest_points import on_triangle
-from taichi_sim.kernels.contacts.triangle_tree import from_triangle, is_within, signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import from_triangle, is_within, least_square, nearer, signed_distance
 
 from taichi_sim.device.engine import ti
 
 HALF_DIAGONAL, SLACK = 0.8660255, 1e-3  # of a cell, and for rounding
+PARTS = 3  # along each axis of a cell: in each of them a triangle of its list may be closest
 UNSAFE = 0.2  # of a distance: an error that those who march along it, see ccd_colliders.MARCH_SAFETY, bear
 
 
@@ -183,6 +184,37 @@ def insert(listed: ti.template(), away: ti.template(), c, number, t, d):
     listed[c, s], away[c, s] = t, d
 
 
+@ti.func
+def thin_out(triangle: ti.template(), listed: ti.template(), away: ti.template(), c, number, p, width):
+    """Keep of the triangles in row c, so many, those that may be closest to some point of one of the parts of a cell, this wide
+    [m] around p. Returns how many."""
+    part = width / PARTS
+    for e in range(PARTS * PARTS * PARTS):
+        step = ti.Vector([e % PARTS, e // PARTS % PARTS, e // (PARTS * PARTS)])
+        q = p + part * (ti.cast(step, float) - 0.5 * (PARTS - 1))
+        closest = unmarked(listed[c, 0])
+        r, feature = from_triangle(triangle, closest, q)
+        for s in range(1, number):
+            r, feature, closest = nearer(triangle, unmarked(listed[c, s]), q, r, feature, closest)
+        reach = (r.norm() + 2.0 * HALF_DIAGONAL * part) * (1.0 + SLACK)
+        for s in range(number):
+            t = listed[c, s]
+            if t >= 0 and least_square(triangle, t, q) < reach * reach:
+                listed[c, s] = -1 - t
+    kept = 0
+    for s in range(number):
+        if listed[c, s] < 0:
+            listed[c, kept], away[c, kept] = unmarked(listed[c, s]), away[c, s]
+            kept += 1
+    return kept
+
+
+@ti.func
+def unmarked(t):
+    """Number of a triangle in a list, where those to keep are marked as negative."""
+    return ti.select(t < 0, -1 - t, t)
+
+
 @ti.kernel
 def list_triangles(
     centre: ti.types.ndarray(ndim=2),
@@ -198,7 +230,8 @@ def list_triangles(
 ):
     """List the triangles (listed, one row a cell) that may be closest to some point of each cell, `part` of a cell of the grid
     wide, around the places `centre` (c, 3) [m], in the order of their distances from these (away [m]), and count them (number);
-    where there is no room for all the row has a part of them. near: a triangle not far from each place; becomes the closest."""
+    where there is no room for all the row has a part of them. near: a triangle not far from each place; becomes the closest.
+    Cells that lie inside the mesh, where balls hardly come, list none."""
     width = part * frame[3]
     for c in range(centre.shape[0]):
         p = point(centre, c)
@@ -207,6 +240,8 @@ def list_triangles(
         reach = (ti.abs(d) + 2.0 * HALF_DIAGONAL * width) * (1.0 + SLACK)
         near[c] = closest
         found, k = 0, 0
+        if d < -HALF_DIAGONAL * (1.0 + SLACK) * width:
+            k = link[0]
         while k < link[0] and found <= listed.shape[1]:
             if is_within(box, k, p, reach * reach):
                 for t in range(link[3 * k + 1], link[3 * k + 2]):
@@ -218,4 +253,6 @@ def list_triangles(
                 k += 1
             else:
                 k = link[3 * k]
+        if 0 < found <= listed.shape[1]:
+            found = thin_out(triangle, listed, away, c, found, p, width)
         number[c] = found

@@ -8,6 +8,7 @@ from taichi_sim.device.engine import ti
 
 FAR_GAP = 1e30  # m, the gap of an empty slot
 EMPTY = -1  # its key
+NONE = -1  # in place of the number of a collider
 # as far as a ball comes in so many steps at its speed, where implicit stages ask for what they will meet
 FORESEEN_STEPS = 2.0
 AHEAD = 2.0  # steps: where a ball would be then tells whether it closes
@@ -26,9 +27,9 @@ def find(walls: ti.template(), x, v, i, crowded, h):
         at.slot[e].gap = FAR_GAP
     if walls.model.inverse_mass[i] > 0.0:
         r = walls.model.radius[i]
-        exact = False
+        exact, seen, seen_d, seen_n = False, NONE, 0.0 * r, 0.0 * x
         if ti.static(walls.colliders.has_mesh):
-            exact = is_at_seam_or_strikes(walls, x, v, i, h)
+            exact, seen, seen_d, seen_n = is_at_seam_or_strikes(walls, x, v, i, h)
             at.exact[i] = exact
         for k in range(walls.colliders.count):
             reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
@@ -36,9 +37,12 @@ def find(walls: ti.template(), x, v, i, crowded, h):
                 u = v - geometry.surface_velocity(walls.colliders, k, x, 0.0)
                 reach = ti.max(reach, FORESEEN_STEPS * h * u.norm())
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
-                for face in range(walls.colliders.faces):
-                    d, n, within = walls.colliders.distance(k, face, x, 0.0, r, exact)
-                    several = within and walls.colliders.shape[k].kind == BOX
+                is_box = walls.colliders.shape[k].kind == BOX
+                for face in range(ti.select(is_box, walls.colliders.faces, 1)):
+                    d, n, within = seen_d, seen_n, False
+                    if k != seen or exact:
+                        d, n, within = walls.colliders.distance(k, face, x, 0.0, r, exact)
+                    several = within and is_box
                     if d - r <= reach and (face == 0 or several):
                         for e in range(first, ti.select(ready, first, first + at.count)):
                             at.slot[e].gap = FAR_GAP
@@ -60,8 +64,10 @@ def find(walls: ti.template(), x, v, i, crowded, h):
 @ti.func
 def is_at_seam_or_strikes(walls: ti.template(), x, v, i, h):
     """True if ball i at x may come within h seconds, at its velocity v from them, so near to two surfaces that what their edges
-    are rounded by, where a mesh keeps distances on a grid, decides which of them it is on, or hit a mesh."""
+    are rounded by, where a mesh keeps distances on a grid, decides which of them it is on, or hit a mesh. After that the
+    mesh looked at, or NONE, with its distance from x and the direction."""
     number, strikes = 0, False
+    seen, seen_d, seen_n = NONE, 0.0 * x[0], 0.0 * x
     r, rounded = walls.model.radius[i], geometry.ROUNDED * walls.colliders.widest_cell
     slowest = slowest_strike(walls, h)
     for k in range(walls.planes.count):
@@ -70,25 +76,29 @@ def is_at_seam_or_strikes(walls: ti.template(), x, v, i, h):
     for k in range(walls.colliders.count):
         u = v - geometry.surface_velocity(walls.colliders, k, x, 0.0)
         way = h * u.norm()
-        looks = ti.select(walls.colliders.shape[k].kind == MESH and way > h * slowest, 2, 1)
+        is_mesh = walls.colliders.shape[k].kind == MESH
+        looks = ti.select(is_mesh and way > h * slowest, 2, 1)
         reach = r + rounded + way
-        if (
-            (looks == 2 or ti.static(walls.collider_contacts.has_seams))
-            and walls.colliders.collides_with(walls.model, i, k)
-            and geometry.near(walls.colliders, k, x, reach)
-        ):
+        may = looks == 2 or ti.static(walls.collider_contacts.has_seams)
+        may = may and walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, reach)
+        if may and looks == 2 and geometry.has_exact_cell(walls.colliders, k, x, way):
+            looks = 1
+            may = ti.static(walls.collider_contacts.has_seams)
+        if may:
             here, closes = reach, AHEAD * way > r
             for look in range(looks):
                 if look == 0 or (here < reach and not closes):
                     d, n, _ = walls.colliders.distance(k, 0, x + look * AHEAD * h * u, 0.0, r, False)
                     if look == 0:
                         here, closes = d, closes or n.dot(u) < -slowest
+                        if is_mesh:
+                            seen, seen_d, seen_n = k, d, n
                     else:
                         closes = here - d > h * slowest
             if here < reach:
                 number += 1
                 strikes = strikes or (looks == 2 and closes)
-    return strikes or number > 1
+    return strikes or number > 1, seen, seen_d, seen_n
 
 
 @ti.func

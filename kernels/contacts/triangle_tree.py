@@ -7,8 +7,10 @@ from taichi_sim.kernels.contacts.closest_points import on_triangle
 
 from taichi_sim.device.engine import ti
 
-WIDTH = 30  # numbers of a triangle: three corners, then the normals of its inside, its corners and its sides
-CORNERS, SIDES = 1, 4  # the first of these features
+# numbers of a triangle: its corners, the directions in its plane away from it at the sides across from them, and from NORMALS on
+# the normals of its inside, its corners and its sides
+WIDTH, OUTWARD, NORMALS = 39, 9, 18
+CORNERS, SIDES = 1, 4  # the first of the features that have normals
 
 
 @ti.func
@@ -47,10 +49,20 @@ def is_within(box: ti.template(), k, p, square):
 
 
 @ti.func
+def least_square(triangle: ti.template(), t, p):
+    """Square of a distance [m] from p than which triangle t is no nearer: by its plane and the side that p is farthest beyond."""
+    above = entry(triangle, WIDTH * t + NORMALS).dot(p - entry(triangle, WIDTH * t))
+    beyond = 0.0 * above
+    for k in ti.static(range(3)):
+        end = entry(triangle, WIDTH * t + 3 * ((k + 1) % 3))
+        beyond = ti.max(beyond, entry(triangle, WIDTH * t + OUTWARD + 3 * k).dot(p - end))
+    return above * above + beyond * beyond
+
+
+@ti.func
 def nearer(triangle: ti.template(), t, p, r, feature, closest):
     """The way to p from the closer one of triangle t and of the one known so far; its feature, and its number."""
-    above = entry(triangle, WIDTH * t + 9).dot(p - entry(triangle, WIDTH * t))
-    if above * above < r.dot(r):
+    if least_square(triangle, t, p) < r.dot(r):
         q, on = from_triangle(triangle, t, p)
         if q.dot(q) < r.dot(r):
             r, feature, closest = q, on, t
@@ -93,7 +105,7 @@ def distance_by_list(triangle: ti.template(), listed: ti.template(), away: ti.te
 def signed(triangle: ti.template(), closest, feature, r):
     """The length of the way r from a feature of the closest triangle, negative inside, and the direction out of the mesh."""
     best = r.dot(r)
-    n = entry(triangle, WIDTH * closest + 9 + 3 * feature)
+    n = entry(triangle, WIDTH * closest + NORMALS + 3 * feature)
     d = ti.sqrt(best)
     if r.dot(n) < 0.0:
         d = -d

@@ -113,7 +113,7 @@ class Colliders:
             self.exact, self.cell, self.listed, self.link = (fields.integers(np.concatenate(one)) for one in tables)
             self.away = fields.reals(np.concatenate([g.away for g in grids]))  # m, as in DistanceGrid
             self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))  # m, (6 nodes)
-            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (30 triangles)
+            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (39 triangles)
         self.shape = fields.table(columns, self.count, data)
 
     @ti.func

@@ -15,6 +15,7 @@ from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.kernels.contacts.colliders import CUT
+from taichi_sim.kernels.contacts.triangle_tree import NORMALS
 from taichi_sim.scene.colliders import MESH, Collider
 from taichi_sim.scene.scene import Scene
 
@@ -105,9 +106,8 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     for distance in [*reaches, 2, 1]:
         source = deepcopy(closest)  # `copy` of an engine's array would share and free its memory
         loops.spread(corner, source, closest, best, frame, distance)
-    each_once = given((collider.vertices - origin)[collider.triangles].reshape(-1, 3))  # in a tree some are there twice
     windings = given(np.zeros(shape), np.int32)
-    loops.winding(each_once, windings, frame)
+    loops.winding(corner, windings, frame)
     ti.sync()
     inside, far = _on_host(windings) != 0, np.sqrt(_on_host(best).astype(np.float64))
     value = np.where(inside, -far, far)
@@ -188,11 +188,11 @@ def _facing_out(
         return tree
     k, j, i = np.nonzero(np.abs(value) < cell)
     number = closest[k, j, i]
-    at = tree.triangles[number].reshape(-1, 10, 3)
-    above = np.sum((low + cell * np.stack([i, j, k], axis=1) - at[:, 0]) * at[:, 3], axis=1)
+    at = tree.triangles[number]
+    above = np.sum((low + cell * np.stack([i, j, k], axis=1) - at[:, :3]) * at[:, NORMALS : NORMALS + 3], axis=1)
     wrong = np.bincount(part[number], np.sign(above) * np.sign(value[k, j, i]), minlength=part.max() + 1) < 0
-    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, CORNERS:]
-    return tree._replace(triangles=np.concatenate([tree.triangles[:, :CORNERS], normals], axis=1))
+    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, NORMALS:]
+    return tree._replace(triangles=np.concatenate([tree.triangles[:, :NORMALS], normals], axis=1))
 
 
 def _on_host(array: Any) -> NDArray[Any]:

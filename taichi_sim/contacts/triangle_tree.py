@@ -19,8 +19,9 @@ Floats = NDArray[np.float64]
 
 class TriangleTree(NamedTuple):
     """Boxes (nodes, 6) [m], lower and upper corner, a node before what lies in it; links (nodes, 3): the node that follows all of
-    that, and of a leaf its first triangle and the one after its last; triangles (t, WIDTH): corners [m], then the unit normals of
-    inside, corners, and sides across from them. order (t,): the triangle of the mesh; some are there twice."""
+    that, and of a leaf its first triangle and the one after its last; triangles (t, WIDTH): corners [m], then unit vectors: away
+    from it in its plane at the sides across from them, and the normals of inside, corners, and these sides. order (t,): the
+    number of each in the mesh."""
 
     boxes: Floats
     links: NDArray[np.int64]
@@ -35,14 +36,16 @@ def triangle_tree(surface: Surface) -> TriangleTree:
     """The tree of a closed mesh: complete, each node halved across the longest side of the box around its centres."""
     corners = surface.vertices[surface.triangles]
     order, depth = _halved(corners.mean(axis=1))
-    table = np.concatenate([corners, normals(surface)], axis=1).reshape(-1, WIDTH)[order]
     low, high = (part[order].reshape(1 << depth, -1, 3) for part in (corners.min(axis=1), corners.max(axis=1)))
     low, high = low.min(axis=1), high.max(axis=1)
     levels = [np.concatenate([low, high], axis=1)]
     for _ in range(depth):
         low, high = low.reshape(-1, 2, 3).min(axis=1), high.reshape(-1, 2, 3).max(axis=1)
         levels.insert(0, np.concatenate([low, high], axis=1))
-    nodes, leaf = (2 << depth) - 1, len(order) >> depth
+    once = np.zeros(len(order), dtype=bool)
+    once[np.unique(order, return_index=True)[1]] = True
+    begin = np.concatenate([[0], np.cumsum(once.reshape(1 << depth, -1).sum(axis=1))])  # of each leaf
+    nodes = (2 << depth) - 1
     boxes, links = np.empty((nodes, 6)), np.zeros((nodes, 3), dtype=np.int64)
     place = np.zeros(1, dtype=np.int64)
     for level, box in enumerate(levels):
@@ -50,17 +53,19 @@ def triangle_tree(surface: Surface) -> TriangleTree:
         boxes[place] = box
         links[place, 0] = place + 2 * below + 1
         if level == depth:
-            links[place, 1] = leaf * np.arange(len(place))
-            links[place, 2] = links[place, 1] + leaf
+            links[place, 1], links[place, 2] = begin[:-1], begin[1:]
         place = (place[:, None] + np.array([1, 1 + below])).ravel()
+    order = order[once]
+    table = np.concatenate([corners, outward(corners), normals(surface)], axis=1).reshape(-1, WIDTH)[order]
     return TriangleTree(boxes, links, table, order)
 
 
 def _halved(centre: Floats) -> tuple[NDArray[np.int64], int]:
-    """Numbers of triangles leaf by leaf, all leaves alike, the last triangle as often as that takes; the depth of the tree."""
+    """Numbers of triangles leaf by leaf, as many in each, for which some are there twice; the depth of the tree."""
     n = len(centre)
     depth = max(0, math.ceil(math.log2(n / LEAF)))
-    order: NDArray[Any] = np.minimum(np.arange((-(-n >> depth)) << depth), n - 1)
+    places = -(-n >> depth) << depth
+    order: NDArray[Any] = np.arange(places) * n // places
     for level in range(depth):
         order = order.reshape(1 << level, -1)
         points = centre[order]
@@ -68,6 +73,12 @@ def _halved(centre: Floats) -> tuple[NDArray[np.int64], int]:
         along = np.take_along_axis(points, axis[:, None, None], axis=2)[:, :, 0]
         order = np.take_along_axis(order, np.argsort(along, axis=1, kind="stable"), axis=1)
     return order.ravel(), depth
+
+
+def outward(corners: Floats) -> Floats:
+    """Unit vectors (t, 3, 3) in the planes of triangles, away from them at the sides across from their corners."""
+    side = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)
+    return _unit(np.cross(side, _unit(np.cross(side[:, 0], side[:, 1]))[:, None]))
 
 
 def normals(surface: Surface) -> Floats:
