@@ -46,7 +46,6 @@ class ContactRule(FoundContacts):
     What a rule can do is said by class attributes, see FoundContacts; `self.rate[0]` is 1 / h [1/s].
     """
 
-    friction_part = 1.0  # of a step, for which friction acts in the solve before a move
 
     def __init_subclass__(cls, **given: Any) -> None:
         """A rule without a name is called as its class is: "off" would switch it off."""

@@ -190,7 +190,7 @@ class Walls(Surfaces):
         """Forget contact k of ball i where a solve that ended a step had it reached, and it is not touched."""
         c = i * self.count + k
         if self.contact[c].role == RESTING and gap > self.touch(self.state.ball[i].x, i, k):
-            self.forget(c)
+            warm_start.forget(self, c)
             self.contact[c].role = LEAVING
             self.touching[i] = self.touching[i] - 1
             self.mass_parts[i] = ti.max(1.0, self.mass_parts[i] - 1.0)
