@@ -178,7 +178,8 @@ class _Flat:
         triangle, four = triangle[order], four[order]
         place, height = self._in_plane(triangle, four)
         weights, products = _measured(place, four)
-        use = (np.abs(height).max(axis=1) < FLAT_HINGE) & (np.abs(products).max(axis=1) > 0.0)
+        off = np.abs(height) / np.maximum(1.0, np.linalg.norm(place, axis=2))  # an angle, so that its own edges count
+        use = (off.max(axis=1) < FLAT_HINGE) & (np.abs(products).max(axis=1) > 0.0)
         triangle, four, weights, products = triangle[use], four[use], weights[use], products[use]
         ease = self._ease(triangle, four)
         first = np.searchsorted(triangle, np.append(some, len(self.t)))

@@ -204,6 +204,21 @@ def test_nothing_crosses_an_edge_folded_onto_itself(fold):
     assert (len(bends.corners), len(pairs), len(strength)) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("fold", [3e-5, 9e-5])
+def test_a_fold_that_counts_as_flat_bends_as_a_flat_one_beside_a_large_triangle(fold):
+    """What is far off leaves the plane of a small triangle by more than the fold: no reason to measure no bending."""
+    x = np.array([[0, 0, 0], [0.3, 0, 0], [0.1, 0, -0.1], [0.2, 0, 3.0], [3.5, 0, 3.0]])
+    triangles = np.array([[0, 1, 2], [1, 0, 3], [1, 3, 4]], dtype=np.int32)
+    flat = mesh_bends(Surface(x, triangles), RIGIDITY)[0]
+    x[3:, 1] = fold * x[3:, 2]
+    folded, pairs, _ = mesh_bends(Surface(x, triangles), RIGIDITY)
+    assert len(pairs) == 0
+    assert {0, 1, 2, 3} in [set(four) for four in folded.corners.tolist()]
+    np.testing.assert_array_equal(folded.corners, flat.corners)
+    np.testing.assert_allclose(folded.weights, flat.weights, rtol=1e-3)
+    np.testing.assert_allclose(folded.stiffness, flat.stiffness, rtol=1e-3)
+
+
 @pytest.mark.parametrize("spokes", [48, 300])
 def test_the_elements_of_a_hub_grow_as_its_neighbours_do(spokes):
     """A fan of any number of triangles stores |kappa|^2 less the square of what it has across its border."""
