@@ -22,7 +22,7 @@ from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["FORMAT", "digest", "parts_of", "restore_state", "save_state", "scene_of", "text_of"]
 
-FORMAT = 6
+FORMAT = 7
 
 
 def save_state(simulation: Any, path: str | PathLike[str]) -> None:

@@ -177,8 +177,10 @@ def test_nothing_is_compiled_and_nothing_left():
 
 
 def test_a_scene_that_is_wrong_changes_nothing():
-    """One fails before anything is declared, one midway, where a number does not fit into the fields."""
-    with ts.Simulation(pile(), **CPU) as used:
+    """One fails before anything is declared, one midway, where a number does not fit into the fields. A pointer, whose fields
+    were declared anew by then, still belongs to what was there before."""
+    pointer, other = ts.Pointer(), ts.Pointer()
+    with ts.Simulation(pile(), forces=[pointer], **CPU) as used:
         used.step(5)
         x = used.position
         for wrong, error, why in (
@@ -190,9 +192,12 @@ def test_a_scene_that_is_wrong_changes_nothing():
                 used.reset(wrong)
         assert np.array_equal(used.position, x)
         assert used.time == pytest.approx(5e-3)
+        pointer.grab(7, target=(0.5, 0.9))
         used.step(5)
-        with ts.Simulation(pile(), **CPU) as whole:
-            whole.step(10)
+        with ts.Simulation(pile(), forces=[other], **CPU) as whole:
+            whole.step(5)
+            other.grab(7, target=(0.5, 0.9))
+            whole.step(5)
             assert np.array_equal(whole.position, used.position)
 
 
