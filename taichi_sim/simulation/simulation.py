@@ -115,7 +115,8 @@ class Simulation(Reader):
         if s.tolerance is not None:
             with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
-        parts = Assembly(scene, s, self.backend, h, forces, NO_CAPACITY_KNOWN if on is None else on.capacity, on)
+        alike = on is not None and on.model.n == scene.n_balls  # others may need far less room for contacts
+        parts = Assembly(scene, s, self.backend, h, forces, on.capacity if alike else NO_CAPACITY_KNOWN, on)
         self._stepper = Stepper(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
             warn(caution)
@@ -376,7 +377,8 @@ class Simulation(Reader):
         velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. Other kernels are needed where the number of
         balls or springs differs, or which balls these join, or whether there is friction or gravity at all: then they
         are compiled. On a device the first reset of a process may take some seconds: it compiles, or loads, what empties the
-        memory. Raises what a new Simulation does, and leaves this one as it is.
+        memory. Raises what a new Simulation does, and leaves this one as it is; where settling fails, which takes that memory,
+        this one is closed.
         """
         on = self.parts
         other = object.__new__(type(self))
