@@ -1,11 +1,10 @@
 """Walls and colliders that cannot do what their scene says: an error or a warning before anything runs. Imports no Taichi."""
 
-import warnings
-
 import numpy as np
 
 from taichi_sim.analysis.diagnostics import collider_depth
 from taichi_sim.common.errors import SceneError
+from taichi_sim.common.warn import warn
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.objects import ball_in_words, balls_in_words
 from taichi_sim.scene.scene import Scene
@@ -71,10 +70,9 @@ def _check_each(scene: Scene, h: float) -> None:
         smallest = float(scene.radius[free].min())
         if speed * h > FASTEST * smallest:
             where = f", path[{keyframe}]" if len(collider.motion.times) > 1 else ""
-            warnings.warn(
+            warn(
                 f"{collider.in_words(k)}{where}: moves at up to {speed:.4g} m/s, {speed * h / smallest:.3g} radii"
-                f" of the smallest ball in one step of {h:.4g} s: it jumps rather than pushes; take more time, or a smaller dt",
-                stacklevel=5,
+                f" of the smallest ball in one step of {h:.4g} s: it jumps rather than pushes; take more time, or a smaller dt"
             )
 
 
@@ -87,8 +85,7 @@ def _warn_of_walls(scene: Scene) -> None:
             deepest = int(np.argmax(depth))
             others = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
             one = ball_in_words(scene.objects, deepest)
-            warnings.warn(
+            warn(
                 f"walls[{k}]: {one}{others} start{'' if others else 's'} with the centre in the solid, up to"
-                f" {depth[deepest]:.4g} m deep: the wall puts them out at once, which adds what energy that takes",
-                stacklevel=6,
+                f" {depth[deepest]:.4g} m deep: the wall puts them out at once, which adds what energy that takes"
             )

@@ -5,6 +5,7 @@ import glob
 import os
 import re
 import stat
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,6 +19,7 @@ except ImportError:  # Windows, where a file that is open cannot be deleted
 
 PART = re.compile(r"\..+\.[0-9a-f]{16}\.part")  # names of files under construction
 AS_IT_IS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+WAIT = 0.05  # s, between two looks at a lock
 
 __all__ = [
     "PART",
@@ -34,6 +36,7 @@ __all__ = [
     "require_place",
     "sweep",
     "synced",
+    "waiting",
 ]
 
 
@@ -193,6 +196,16 @@ def locking(path: Path, refusal: str) -> Iterator[None]:
     finally:
         path.unlink(missing_ok=True)
         file.close()
+
+
+@contextmanager
+def waiting(path: Path) -> Iterator[IO[bytes]]:
+    """Wait until no other process is in such a block of that file, which stays, and may be read and written. A process that
+    ends leaves its block, however it ends. Raises OSError where there can be no such file."""
+    with _opened(path, os.O_RDWR | os.O_CREAT) as file:
+        while not locked(file):
+            time.sleep(WAIT)
+        yield file
 
 
 def locked(file: IO[bytes]) -> bool:

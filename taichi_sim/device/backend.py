@@ -7,7 +7,6 @@ serves one thread, that which started it; in another its kernels fail or compute
 import os
 import sys
 import threading
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 
 from taichi_sim.common.environment import restored_environment
 from taichi_sim.common.errors import BackendError
+from taichi_sim.common.warn import warn
 from taichi_sim.device.compile_speedup import quicken
 from taichi_sim.device.compiling import count_time
 from taichi_sim.device.devices import find, verdict
@@ -245,7 +245,7 @@ def _is_trusted(arch: str) -> bool:
         return False
     wrong = verdict(device, f"{ENGINE} {VERSION}")
     if wrong:
-        warnings.warn(f"{device.name} ({arch}) is not used: {wrong}", stacklevel=5)
+        warn(f"{device.name} ({arch}) is not used: {wrong}")
     return not wrong
 
 

@@ -5,9 +5,10 @@ import os
 import stat
 import tempfile
 import time
-import warnings
 from contextlib import suppress
 from pathlib import Path
+
+from taichi_sim.common.warn import warn
 
 __all__ = ["cache_folder", "settle_home"]
 
@@ -40,10 +41,9 @@ def cache_folder(usual: Path) -> Path | None:
         return usual
     folder = _temporary()
     done = f"they are kept in {folder}" if folder else "each process compiles all of them"
-    warnings.warn(
+    warn(
         f"{usual}: compiled kernels cannot be kept there ({problem}); {done}."
-        " Set XDG_CACHE_HOME to a folder that you can write",
-        stacklevel=6,
+        " Set XDG_CACHE_HOME to a folder that you can write"
     )
     return folder
 
@@ -89,4 +89,4 @@ def _unlock(folder: Path) -> None:
         return
     except OSError as error:
         done = f"remove it ({error.strerror}): until then everything is compiled anew in each process"
-    warnings.warn(f"{lock}: a killed process has locked the cache of compiled kernels; {done}", stacklevel=7)
+    warn(f"{lock}: a killed process has locked the cache of compiled kernels; {done}")

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import warnings
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from os import PathLike
@@ -15,6 +14,7 @@ from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.npz import read_npz
 from taichi_sim.common.plain import plain
+from taichi_sim.common.warn import warn
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.document import document, fill, saved
 from taichi_sim.scene.scene import Scene
@@ -22,7 +22,7 @@ from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["FORMAT", "digest", "parts_of", "restore_state", "save_state", "scene_of", "text_of"]
 
-FORMAT = 6
+FORMAT = 7
 
 
 def save_state(simulation: Any, path: str | PathLike[str]) -> None:
@@ -96,10 +96,9 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     # lists of contacts name balls and places of each other: what kernels follow is never taken from a stranger
     edited = about.get("digest") != digest(about, arrays)
     if edited:
-        warnings.warn(
+        warn(
             f"{path}: was edited, or written by an earlier version: it goes on from its positions and velocities, and contacts"
-            " find the load that they carry anew",
-            stacklevel=3,
+            " find the load that they carry anew"
         )
     if edited or {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
         snapshot = replace(snapshot, stepping={}, memory={})

@@ -1,7 +1,6 @@
 """Surface meshes: reading them, and the edges and hinges from which springs are made. Imports no Taichi."""
 
 import os
-import warnings
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import kind_of
 from taichi_sim.common.errors import SceneError, about
+from taichi_sim.common.warn import warn
 from taichi_sim.geometry.mesh_file import SUFFIXES, load, states_up
 from taichi_sim.geometry.polygons import FormatError, triangulated, without_repeats
 
@@ -71,10 +71,9 @@ def read_surface(path: str | os.PathLike[str]) -> Surface:
     except FormatError as error:
         raise SceneError("mesh", file, says=f"cannot be divided into triangles: {error}") from None
     if len(crossing):
-        warnings.warn(
+        warn(
             f"mesh: {os.fspath(file)!r} has {len(crossing)} polygons that cross themselves, the first at"
-            f" {vertices[corners[kept][counts[: crossing[0]].sum()]].tolist()}; mend the mesh, if that matters",
-            stacklevel=2,
+            f" {vertices[corners[kept][counts[: crossing[0]].sum()]].tolist()}; mend the mesh, if that matters"
         )
     uv = None if polygons.uv is None else np.nan_to_num(polygons.uv[kept][cut])
     surface = _compact(vertices, corners[kept][cut], uv)
@@ -160,10 +159,9 @@ def given_surface(where: str, mesh: Any, up: str | None = None) -> Surface:
             surface = read_surface(mesh)
             if up is None and not states_up(Path(mesh)):
                 kind = Path(mesh).suffix[1:].upper()
-                warnings.warn(
+                warn(
                     f"{where}.mesh: {os.fspath(mesh)!r} is read with y up, but {kind} files do not tell which axis is up, and"
-                    ' many programs write z; give up = "z", or up = "y" if it lies right',
-                    stacklevel=4,
+                    ' many programs write z; give up = "z", or up = "y" if it lies right'
                 )
     else:
         surface = by_hand(f"{where}.mesh", mesh)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from taichi_sim.analysis.frame import Frame, frame_count
 from taichi_sim.common.atomic_file import naming
+from taichi_sim.common.warn import warn
 from taichi_sim.device.engine import ENGINE, VERSION
 from taichi_sim.outputs.base import Output
 from taichi_sim.outputs.frame_log import Checkpoint
@@ -60,9 +61,7 @@ class Checkpoints:
             for log in logs:  # cut off before, all have the last one; within this, both or the new one
                 log.settle()
         except ValueError as error:
-            warnings.warn(
-                f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew", stacklevel=3
-            )
+            warn(f"no checkpoints: {str(error).removeprefix('save: ')}; a resumed run begins anew")
             self._next = float("inf")
             return False
         now, interval = time.perf_counter(), self._interval or 0.0

@@ -1,7 +1,6 @@
 """Export of a simulation to an output: the loop over frames, its progress bar and its summary."""
 
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -15,6 +14,7 @@ from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.progress import Work, showing
 from taichi_sim.common.signals import Patience, patiently
+from taichi_sim.common.warn import warn
 from taichi_sim.device import compiling
 from taichi_sim.outputs import whole_run
 from taichi_sim.outputs.background_writer import Behind
@@ -71,9 +71,7 @@ def export(
     finished = [one for one in outputs if one.path is not None and one.is_finished(count)]
     for one in finished:
         one.leave_as_it_is()
-        warnings.warn(
-            f"{one.path}: is complete, and is left as it is; without resume it is made anew", UserWarning, stacklevel=2
-        )
+        warn(f"{one.path}: is complete, and is left as it is; without resume it is made anew")
     if finished and len(finished) == len(outputs):
         return Summary(complete=[str(one.path) for one in finished])
     outputs = [one for one in outputs if one not in finished]

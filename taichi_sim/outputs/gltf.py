@@ -1,6 +1,5 @@
 """A scene in binary glTF, which browsers, Blender and most 3D programs open: what pictures show, over time."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing
+from taichi_sim.common.warn import warn
 from taichi_sim.outputs.base import USUAL_FPS
 from taichi_sim.outputs.gltf_scene import GltfScene
 from taichi_sim.outputs.scene_film import SceneFilm
@@ -57,10 +57,9 @@ class Gltf(SceneFilm):
         count = self.frames
         kept = min(count, max(2, MOST_MOTION_BYTES // max(1, scene.frame_bytes)))
         if kept < count:
-            warnings.warn(
+            warn(
                 f"{self.path}: holds the motion at {kept} of {count} frames, evenly spread; .glb takes at most"
-                f" {MOST_MOTION_BYTES >> 20} MB of it; for all of it write x.usdc",
-                stacklevel=3,
+                f" {MOST_MOTION_BYTES >> 20} MB of it; for all of it write x.usdc"
             )
         return _spread(list(range(count)), kept)
 
@@ -74,10 +73,9 @@ class Gltf(SceneFilm):
             )
         kept = min(count, most, MOST_SHAPES)
         if kept < count and scene.vertices:
-            warnings.warn(
+            warn(
                 f"{self.path}: holds the surfaces at {kept} of {count} frames, evenly spread; .glb takes at most"
-                f" {MOST_SHAPES} shapes and {MOST_BYTES >> 20} MB of them",
-                stacklevel=2,
+                f" {MOST_SHAPES} shapes and {MOST_BYTES >> 20} MB of them"
             )
         return _spread(shown, kept)
 

@@ -1,6 +1,5 @@
 """MP4 and WebM video through PyAV, whose encoders come with it from pip."""
 
-import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from fractions import Fraction
@@ -11,6 +10,7 @@ import numpy as np
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import PartFile, naming
+from taichi_sim.common.warn import warn
 from taichi_sim.outputs.base import USUAL_FPS, FileOutput, Image
 
 BT709 = 1  # primaries, transfer and matrix of HD video, in the code of ITU-T H.273
@@ -79,10 +79,9 @@ class Video(FileOutput):
     def prepare(self, first: Frame, size: tuple[int, int], style: Mapping[str, Any]) -> None:
         width, height = (side + side % 2 for side in size)
         if (width, height) != tuple(size):
-            warnings.warn(
+            warn(
                 f"{self.path.name}: a video has even sides, so that of {size[0]} x {size[1]} px is {width} x {height} px: one"
-                " row or column is repeated",
-                stacklevel=3,
+                " row or column is repeated"
             )
 
     def holds(self, count: int) -> bool:

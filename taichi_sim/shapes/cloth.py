@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Literal
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
+from taichi_sim.common.warn import warn
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.membranes import require_coupling
 from taichi_sim.scene.scene import Scene
@@ -176,10 +176,7 @@ def cloth(
         grid, surface = None, meshes.given_surface("cloth", mesh, up)
         cloth_material.require_area(surface)
         if wrong := meshes.flaws(surface, closed=False):
-            warnings.warn(
-                f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters",
-                stacklevel=3,
-            )
+            warn(f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters")
         spacing, area = _mean_edge(surface), meshes.surface_area(surface)
     area = area * factor**2
     total = or_default("cloth.mass", mass, CLOTH_DENSITY * area)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Literal
@@ -14,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
+from taichi_sim.common.warn import warn
 from taichi_sim.geometry import mesh as meshes
 from taichi_sim.scene.neo_hookean import MOST_RATIO, in_plane_strain, lame
 from taichi_sim.scene.scene import Scene
@@ -358,10 +358,9 @@ def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Boxes,
         raise SceneError("jelly.spacing", step, "less; no box of that size fits into the mesh")
     if wrong:
         part = float(filled.sum()) * step**3
-        warnings.warn(
+        warn(
             f"jelly.mesh: {'; '.join(wrong)}. What is inside, {part:.4g} m^3, was decided by a majority of rays: look at the"
-            " result, or mend the mesh",
-            stacklevel=4,
+            " result, or mend the mesh"
         )
     body = jelly_material.lattice(filled, np.full(3, step))
     return body._replace(points=body.points + low), jelly_material.skin_of_boxes(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Sequence
 from os import PathLike
 from typing import Any
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.spelling import takes_color
+from taichi_sim.common.warn import warn
 from taichi_sim.geometry import outlines, polygon_mesh
 from taichi_sim.scene.colliders import Mesh
 from taichi_sim.scene.pins import chosen
@@ -197,11 +197,10 @@ def _without_specks(shape: str, found: list[outlines.Outline], spacing: float) -
         return found
     first = int(np.argmin(sizes))
     x, y = np.reshape(found[first].polygon.bounds, (2, 2)).mean(axis=0)
-    warnings.warn(
+    warn(
         f"{shape}: {len(found) - len(kept)} of {len(found)} pieces are left out: they are smaller than {SPECK:g} of the"
         f" spacing, {spacing:.3g} m; the smallest is {sizes[first]:.3g} m wide, at ({x:.3g}, {y:.3g}) m; a finer spacing keeps"
-        " them",
-        stacklevel=5,
+        " them"
     )
     return kept
 

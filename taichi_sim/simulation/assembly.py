@@ -115,6 +115,7 @@ class Assembly:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
         self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared
         self.fields = Fields(backend.real, backend.has_wide_numbers, None if on is None else on.fields)
+        owned = [(vars(force), dict(vars(force))) for force in forces if hasattr(force, "__dict__")]
         try:
             self._assemble(scene, settings, backend, h, forces)
             self.fields.build()
@@ -122,6 +123,9 @@ class Assembly:
             self.integrator.set_step(h)
         except BaseException:
             self.fields.abandon()
+            for present, before in owned:  # the user's forces may belong to another simulation, which goes on
+                present.clear()
+                present.update(before)
             raise
 
     def _compiled(self) -> dict[str, Any]:

@@ -139,7 +139,6 @@ class Retry:
             "shorter",
             f"{what} by t = {run.time:.6g} s at substeps of {run.dt / before:.6g} s; taken back to t = {run.marked:.6g} s and"
             f" repeated with substeps of {run.h:.6g} s, which are kept",
-            7,
         )
 
     def fail(self, ball: int) -> None:

@@ -1,6 +1,5 @@
 """RunChecks: looks at a run and warns, once of each kind, where it leaves what is safe. They change nothing of it."""
 
-import warnings
 from collections.abc import Iterator, Mapping
 from typing import Any
 from weakref import proxy
@@ -12,6 +11,7 @@ from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure
 from taichi_sim.analysis.stability import explicit_parts, present_limit
 from taichi_sim.analysis.strikes import unanswered
 from taichi_sim.analysis.touching import overlap, overlap_at_start
+from taichi_sim.common.warn import warn
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.objects import pair_in_words
@@ -101,38 +101,38 @@ class RunChecks:
         self._looks += 1
         self._unseen += substeps
         if self._unseen >= UNSEEN:
-            self.look_at_depth(8)
+            self.look_at_depth()
 
-    def look_at_depth(self, stacklevel: int) -> None:
+    def look_at_depth(self) -> None:
         """Warn where balls lie deep in something, if anything here may bring them there: what moves, or speed."""
         if self._unseen and (self.squeezes or self._rushes):
             self._unseen = 0
-            self.contact_statistics(stacklevel)
+            self.contact_statistics()
 
     @property
     def _rushes(self) -> bool:
         """True if a ball has been so fast that contacts may not have held it."""
         return self.fastest * self.run.h > self._rush
 
-    def contact_statistics(self, stacklevel: int = 4) -> NDArray[np.float64]:
-        """Statistics of all contacts, see kernels.contacts.statistics. Warns once, of the line that many calls further out, where
-        steps have brought balls deep into something."""
+    def contact_statistics(self) -> NDArray[np.float64]:
+        """Statistics of all contacts, see kernels.contacts.statistics. Warns once, where steps have
+        brought balls deep into something."""
         totals = self.run.parts.contact_statistics()
         part = float(totals[statistics.LARGEST_PART])
         if part > DEEP and (self.run.moved or self.run.time == 0.0):
-            self._warn_of_depth(int(totals[statistics.BALL]), part, stacklevel + 1)
+            self._warn_of_depth(int(totals[statistics.BALL]), part)
         return totals
 
-    def _warn_of_depth(self, ball: int, part: float, stacklevel: int) -> None:
+    def _warn_of_depth(self, ball: int, part: float) -> None:
         scene, position, time = self.scene, self.run.parts.state.position, self.run.time
         began = overlap_at_start(scene, position, time, ball, part)
         if began > DEEP:
             where = overlap(scene, scene.position, 0.0, ball, began)
-            self.warn(STARTS_DEEP, f"at the start {where}: {STARTS_DEEP}", stacklevel)
+            self.warn(STARTS_DEEP, f"at the start {where}: {STARTS_DEEP}")
         elif self.run.moved:
             where = overlap(scene, position, time, ball, part)
             cure = cure_of_depth(self.squeezes, self._rush / self.fastest if self._rushes else None)
-            self.warn("depth", f"at t = {time:.6g} s {where}; {cure}", stacklevel)
+            self.warn("depth", f"at t = {time:.6g} s {where}; {cure}")
 
     def _check_solver(self) -> None:
         """Warn if an implicit method has left a stage unsolved."""
@@ -219,11 +219,11 @@ class RunChecks:
         scene = self.scene.at(run.time)
         return present_limit(scene, run.method, parts.state.position, parts.forces.declared, parts.torn)
 
-    def warn(self, kind: str, text: str, stacklevel: int = 6) -> None:
-        """Warn, of the line that many calls further out, if nothing of this kind was said before."""
+    def warn(self, kind: str, text: str) -> None:
+        """Warn, if nothing of this kind was said before."""
         if kind not in self.warned:
             self.warned.add(kind)
-            warnings.warn(text, stacklevel=stacklevel)
+            warn(text)
 
     # To a snapshot and back ------------------------------------------------------------------------------------------
 

@@ -5,7 +5,6 @@ the velocities are set to 0 and it begins again, until what is left of the force
 is added, so the state of rest is that of the scene itself.
 """
 
-import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.quantities import measured, percent
+from taichi_sim.common.warn import warn
 from taichi_sim.files.checkpoint import parts_of, scene_of
 from taichi_sim.scene.scene import Scene
 
@@ -107,7 +107,7 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
         # stops that lower the residual no more, long before the time is up, end at what rounding leaves
         rounded = simulation.parts.backend.precision == "f32" and since > PATIENCE
         cure = '; single precision may be what stands in the way: try precision = "f64"' if rounded else ""
-        warnings.warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}", stacklevel=4)
+        warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}")
     return at_rest, found
 
 

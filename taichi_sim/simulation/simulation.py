@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import import_module
@@ -27,6 +26,7 @@ from taichi_sim.analysis.probe_readings import Reader
 from taichi_sim.analysis.stability import Stability, stability
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
+from taichi_sim.common.warn import warn
 from taichi_sim.device import backend
 from taichi_sim.device.state import State
 from taichi_sim.forces.sum import checked_forces
@@ -98,13 +98,12 @@ class Simulation(Reader):
         with scene.in_file(settings):
             self.dt, substeps = self.settings.time_step(scene, self._stability)
         h = self.dt / substeps
-        self._warn(h, 4)
+        self._warn(h)
         self.undeclared_forces = undeclared(self._forces)
         if self.undeclared_forces and self.settings.dt == "auto":
-            warnings.warn(
+            warn(
                 f'dt: "auto" does not count {", ".join(self.undeclared_forces)}, which declares neither stiffness_rate nor'
-                " damping_rate (0 where a force is constant), see docs/extending.md; declare one, or give dt",
-                stacklevel=3,
+                " damping_rate (0 where a force is constant), see docs/extending.md; declare one, or give dt"
             )
         if self.settings.contacts != "off":
             check_colliders(scene, h)
@@ -116,10 +115,11 @@ class Simulation(Reader):
         if s.tolerance is not None:
             with scene.in_file(settings):
                 self._check_tolerance(s.tolerance, substeps)
-        parts = Assembly(scene, s, self.backend, h, forces, NO_CAPACITY_KNOWN if on is None else on.capacity, on)
+        alike = on is not None and on.model.n == scene.n_balls  # others may need far less room for contacts
+        parts = Assembly(scene, s, self.backend, h, forces, on.capacity if alike else NO_CAPACITY_KNOWN, on)
         self._stepper = Stepper(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
-            warnings.warn(caution, stacklevel=3)
+            warn(caution)
         self._closed = False
         self._still = scene.n_balls == 0
         self._moments = MomentsOf(scene)
@@ -145,17 +145,14 @@ class Simulation(Reader):
             says = "cannot be kept together with probes of force or impulse; give dt, or leave them out"
             raise SceneError("tolerance", says=says)
 
-    def _warn(self, h: float, stacklevel: int) -> None:
+    def _warn(self, h: float) -> None:
         safe = self._stability.dt_any_shape
         if safe == 0.0:
-            warnings.warn(
-                f"no step is safe here, dt = {h:.6g} s included: {self._stability.reason}", stacklevel=stacklevel
-            )
+            warn(f"no step is safe here, dt = {h:.6g} s included: {self._stability.reason}")
         elif h > safe * (1.0 + 1e-9):
-            warnings.warn(
+            warn(
                 f"dt = {h:.6g} s is above the safe bound of {safe:.6g} s for every shape of this scene:"
-                f" {self._stability.reason}",
-                stacklevel=stacklevel,
+                f" {self._stability.reason}"
             )
 
     @property
@@ -203,7 +200,7 @@ class Simulation(Reader):
         """Advance by round(duration / dt) steps; duration in seconds."""
         self.step(round(validation.number("duration", duration, low=0) / self.dt))
         if not self._still and self._state is not None:
-            self._stepper.checks.look_at_depth(5)
+            self._stepper.checks.look_at_depth()
 
     def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
         """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its
@@ -218,9 +215,7 @@ class Simulation(Reader):
                 f"frames: {rate:g} a second for {duration:g} s are more than {MOST_FRAMES}, the most allowed"
             )
         if rate * self.dt > 1.0 + 1e-9:
-            warnings.warn(
-                f"dt = {self.dt:.6g} s is longer than a frame, 1/{rate:g} s: some frames repeat", stacklevel=2
-            )
+            warn(f"dt = {self.dt:.6g} s is longer than a frame, 1/{rate:g} s: some frames repeat")
         start = self._stepper.steps
         for k in range(count):
             self.step(max(0, start + round(k / rate / self.dt) - self._stepper.steps))
@@ -382,7 +377,8 @@ class Simulation(Reader):
         velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. Other kernels are needed where the number of
         balls or springs differs, or which balls these join, or whether there is friction or gravity at all: then they
         are compiled. On a device the first reset of a process may take some seconds: it compiles, or loads, what empties the
-        memory. Raises what a new Simulation does, and leaves this one as it is.
+        memory. Raises what a new Simulation does, and leaves this one as it is; where settling fails, which takes that memory,
+        this one is closed.
         """
         on = self.parts
         other = object.__new__(type(self))
@@ -406,7 +402,7 @@ class Simulation(Reader):
         )
         seconds, substeps = settings.time_step(self.scene, self._stability)
         h = seconds / substeps
-        self._warn(h, 3)
+        self._warn(h)
         if settings.contacts != "off":
             check_colliders(self.scene, h)
         parts.set_step(h, anew=True)

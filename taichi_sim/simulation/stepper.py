@@ -253,7 +253,6 @@ class Stepper:
             self.checks.warn(
                 "machine",
                 "what this machine computes differs in the last digits from what was saved: it goes on from the positions saved",
-                4,
             )
             self._begin_at(snapshot)
 

@@ -127,7 +127,7 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
     waiting = deque(islice(chunks, AHEAD * engine.number))
     drawn: dict[int, Images] = {}  # what cannot be asked for yet, by its first frame
     following = 0
-    work = partial(_packed_chunk, task) if engine.apart else partial(_draw_chunk, task)
+    work = partial(_packed_chunk, task, engine.number > 1) if engine.apart else partial(_draw_chunk, task)
     try:
         with closing(engine.run(work, waiting, "pictures")) as results:
             for (begin, end), images in results:
@@ -169,31 +169,42 @@ class _Painter:
         return images
 
 
-def _draw_chunk(task: tuple[Any, ...], chunk: tuple[int, int], make: Callable[..., _Painter] = _Painter) -> Images:
-    """Draw a chunk. make: a painter of a task."""
+def _draw_chunk(task: tuple[Any, ...], chunk: tuple[int, int], make: Callable[[str], _Painter] | None = None) -> Images:
+    """Draw a chunk. make: makes a painter, given the key of the recording as it is now."""
     status = Path(task[0]).stat()
     key = repr((task, status.st_mtime_ns, status.st_size))
-    return kept(key, lambda: make(*task)).draw(*chunk)
+    return kept(key, lambda: make(key) if make else _Painter(*task)).draw(*chunk)
 
 
-def _packed_chunk(task: tuple[Any, ...], chunk: tuple[int, int]) -> list[bytes]:
-    """Without loss, for the way to another process. A worker has one thread, as in a sweep."""
+def _packed_chunk(task: tuple[Any, ...], shared: bool, chunk: tuple[int, int]) -> list[bytes]:
+    """Draw a chunk, packed without loss for the way to another process. A worker has one thread, as in a sweep. shared: by
+    several workers."""
     from PIL import Image
 
     packed = []
-    for image in _draw_chunk(task, chunk, _painter_of_worker):
+    for image in _draw_chunk(task, chunk, partial(_painter_of_worker, task, shared)):
         file = io.BytesIO()
         Image.fromarray(image).save(file, "png", compress_level=1)
         packed.append(file.getvalue())
     return packed
 
 
-def _painter_of_worker(*task: Any) -> _Painter:
+def _painter_of_worker(task: tuple[Any, ...], shared: bool, key: str) -> _Painter:
     from taichi_sim.device import backend
+    from taichi_sim.device.compile_once import compile_once
+
+    def make() -> _Painter:
+        backend.start("cpu", task[-1] or "f32", 1)
+        return _Painter(*task)
+
+    def rehearse() -> None:
+        with closing(make()) as painter:
+            painter.draw(0, 1)
 
     backend.stop()  # it may have been another task's
-    backend.start("cpu", task[-1] or "f32", 1)
-    return _Painter(*task)
+    if shared:
+        compile_once("pictures", key, rehearse)
+    return make()
 
 
 def _unpacked(image: bytes | NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -7,6 +7,7 @@ import uuid
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,7 @@ class Row:
 class Job:
     """Settings with which points are run. duration, fps: None leaves them to the scene; settings: arguments of Simulation
     over the scene's own; folder: where batches of rows go, on all machines; mark: start of their names, which differs
-    between sweeps; apart: in a process that does nothing else."""
+    between sweeps; apart: in a process that does nothing else; shared: by several of these."""
 
     subject: Subject
     measures: Measures
@@ -77,6 +78,7 @@ class Job:
     folder: str | None = None
     apart: bool = True
     mark: str = ""
+    shared: bool = False
     known_by: str = field(
         default_factory=lambda: uuid.uuid4().hex
     )  # a worker keeps its simulation from task to task of a job
@@ -90,10 +92,11 @@ class Runner:
         self.simulation: Any = None
         self.kind = ""  # of it
         self.made = 0  # times that kernels were compiled or loaded, since the start
+        self.waited = 0.0  # s, for what other workers compile
 
     def run(self, point: Point) -> Row:
         """A point, whatever becomes of it; a signal that ends the process is no matter of the point, and is passed on."""
-        start, made = time.perf_counter(), self.made
+        start, made, waited = time.perf_counter(), self.made, self.waited
         measures: dict[str, float] = {}
         error = ""
         with warnings.catch_warnings(record=True) as caught:
@@ -113,7 +116,7 @@ class Runner:
             measures=measures,
             error=_cut(error),
             warning=_cut(said),
-            wall=time.perf_counter() - start,
+            wall=time.perf_counter() - start - (self.waited - waited),
             compiled=self.made > made,
         )
 
@@ -132,6 +135,7 @@ class Runner:
 
     def _simulation(self, scene: Scene) -> Any:
         from taichi_sim.device import backend
+        from taichi_sim.device.compile_once import compile_once
         from taichi_sim.simulation.simulation import Simulation
         from taichi_sim.simulation.structure import kind_of
 
@@ -142,11 +146,22 @@ class Runner:
             self.made += not before or self.simulation.parts.kernels != before
             return self.simulation
         self.close()
-        if self.job.apart and self.kind:  # so that kernels of the next are found in the cache, and no memory is kept
+        if self.job.shared:
+            self.waited += compile_once(kind, self.job.known_by, partial(self._rehearse, scene))
+        elif self.job.apart and self.kind:  # so that kernels of the next are found in the cache, and no memory is kept
             backend.stop()
         self.simulation, self.kind = Simulation(scene, **self.job.settings), kind
         self.made += 1
         return self.simulation
+
+    def _rehearse(self, scene: Scene) -> None:
+        """Run two steps from where the scene is and read what is measured, by numbers alone: functions of the user's may count
+        how often they run."""
+        from taichi_sim.simulation.simulation import Simulation
+
+        with Simulation(scene, **{**self.job.settings, "settle": None}) as simulation:
+            numbers = Measures(self.job.measures.numbers, {}, every_frame=True)
+            numbers.run(simulation, 2.0 * simulation.dt, 1.0 / simulation.dt)
 
     def close(self) -> None:
         """Give the memory back."""

@@ -4,6 +4,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -70,7 +71,8 @@ class Study:
             more = f", then those that the search asks for, at most {at_most}" if at_most else ""
             self._say(f"{len(missing)} points to run{more}, {already} done before; {self._engine.said}")
         size = max(1, min(BATCH, -(-len(missing) // (FEW_TASKS * self._engine.number))))
-        work = partial(run_batch, self._runner.job) if self._engine.apart else self._runner.batch
+        job = replace(self._runner.job, shared=self._engine.number > 1)
+        work = partial(run_batch, job) if self._engine.apart else self._runner.batch
         waiting: deque[Sequence[Point]] = deque(missing[k : k + size] for k in range(0, len(missing), size))
         for batch, rows in self._engine.run(work, waiting, "sweep", lambda batch: [[point] for point in batch]):
             if rows is None:

@@ -10,6 +10,8 @@ from physics_support import PRECISION
 
 import taichi_sim as ts
 from taichi_sim.device.engine import ENGINE, ti
+from taichi_sim.device.fields import Fields
+from taichi_sim.simulation.assembly import ContactCapacity
 
 pytestmark = pytest.mark.skipif(ENGINE != "taichi", reason="it shares no kernels")
 CPU = {"precision": PRECISION, "arch": "cpu"}
@@ -230,6 +232,37 @@ def row(k=200.0, amplitude=0.2):
     springs = scene.add_springs(np.stack([balls[:-1], balls[1:]], axis=1), stiffness=k, damping=0.5)
     scene.add_motor(springs[:2], amplitude=amplitude, frequency=10.0 * abs(amplitude))
     return scene
+
+
+@pytest.mark.once
+def test_room_for_contacts_that_was_needed_is_that_of_as_many_balls():
+    with ts.Simulation(pile(), **CPU) as used:
+        used.parts.capacity = ContactCapacity(pairs=50_000)
+        used.reset(pile(e=0.6))
+        assert used.parts.room.pairs == 50_000
+        used.reset(pile(balls=24))
+        assert used.parts.room.pairs < 10_000
+
+
+@pytest.mark.once
+def test_a_reset_that_fails_leaves_the_users_forces_where_they_were(monkeypatch):
+    def full(fields):
+        raise MemoryError
+
+    ends = []
+    for fails in (True, False):
+        pointer = ts.Pointer()
+        with ts.Simulation(row(), forces=[pointer], contacts="off", **CPU) as used:
+            pointer.grab(5, target=(1.0, 0.2))
+            if fails:
+                with monkeypatch.context() as patch:
+                    patch.setattr(Fields, "build", full)
+                    with pytest.raises(MemoryError):
+                        used.reset(row(k=300.0))
+            assert pointer.ball == 5
+            pointer.move((0.9, 0.1))
+            ends.append(run_to_end(used))
+    assert np.array_equal(*ends)
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ from calibration import KINDS, rows
 from physics_support import F64, PRECISION, error, simulate
 
 import taichi_sim as ts
+from taichi_sim.simulation import error_control
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -187,6 +188,19 @@ def test_impacts_do_not_drive_the_step_to_nothing():
         assert found.estimate < 1e-3 * 0.8 or found.lost is not None
         assert sim.energy().total < start
         assert sim.penetration() < 0.02
+
+
+@pytest.mark.once
+def test_a_lost_tolerance_is_said_of_the_line_that_asked_for_the_steps(monkeypatch):
+    """By whatever way it asked, and after a reset."""
+    monkeypatch.setattr(error_control, "DOUBLINGS", 0)
+    with simulate(pair(), tolerance=2e-3) as sim:
+        for go in (lambda: sim.step(40), lambda: sim.run(0.5), lambda: list(sim.frames(60, 0.5))):
+            sim.reset(pair())
+            with pytest.warns(UserWarning, match="cannot be kept") as said:
+                go()
+            assert [one.filename for one in said] == [__file__]
+            assert sim.error().lost is not None
 
 
 def test_what_is_refused():
