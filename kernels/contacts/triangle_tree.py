@@ -106,7 +106,8 @@ def signed(triangle: ti.template(), closest, feature, r):
     """The length of the way r from a feature of the closest triangle, negative inside, and the direction out of the mesh."""
     n = entry(triangle, WIDTH * closest + NORMALS + 3 * feature)
     d = r.dot(n)
-    if feature != INSIDE:  # there r is along n, but for rounding, which would tilt what is close to a large triangle
+    # inside r is along n, but for rounding, which tilts what is close to a large triangle; one without an area has no n
+    if feature != INSIDE or n.dot(n) == 0.0:
         best = r.dot(r)
         d = ti.select(d < 0.0, -ti.sqrt(best), ti.sqrt(best))
         if best > 0.0:

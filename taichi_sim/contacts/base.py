@@ -46,7 +46,6 @@ class ContactRule(FoundContacts):
     What a rule can do is said by class attributes, see FoundContacts; `self.rate[0]` is 1 / h [1/s].
     """
 
-
     def __init_subclass__(cls, **given: Any) -> None:
         """A rule without a name is called as its class is: "off" would switch it off."""
         super().__init_subclass__(**given)
