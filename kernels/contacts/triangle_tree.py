@@ -10,7 +10,7 @@ from taichi_sim.device.engine import ti
 # numbers of a triangle: its corners, the directions in its plane away from it at the sides across from them, and from NORMALS on
 # the normals of its inside, its corners and its sides
 WIDTH, OUTWARD, NORMALS = 39, 9, 18
-CORNERS, SIDES = 1, 4  # the first of the features that have normals
+INSIDE, CORNERS, SIDES = 0, 1, 4  # features that have normals, or the first of them
 
 
 @ti.func
@@ -22,7 +22,7 @@ def entry(table: ti.template(), at):
 @ti.func
 def feature_of(weight):
     """Feature of a triangle, its inside, a corner or a side, on which the point with these weights lies."""
-    feature, zeros = 0, 0
+    feature, zeros = INSIDE, 0
     for k in ti.static(range(3)):
         if weight[k] == 0.0:
             feature = SIDES + k
@@ -104,11 +104,12 @@ def distance_by_list(triangle: ti.template(), listed: ti.template(), away: ti.te
 @ti.func
 def signed(triangle: ti.template(), closest, feature, r):
     """The length of the way r from a feature of the closest triangle, negative inside, and the direction out of the mesh."""
-    best = r.dot(r)
     n = entry(triangle, WIDTH * closest + NORMALS + 3 * feature)
-    d = ti.sqrt(best)
-    if r.dot(n) < 0.0:
-        d = -d
-    if best > 0.0:
-        n = r / d
+    d = r.dot(n)
+    # inside r is along n, but for rounding, which tilts what is close to a large triangle; one without an area has no n
+    if feature != INSIDE or n.dot(n) == 0.0:
+        best = r.dot(r)
+        d = ti.select(d < 0.0, -ti.sqrt(best), ti.sqrt(best))
+        if best > 0.0:
+            n = r / d
     return d, n

@@ -12,7 +12,8 @@ from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 __all__ = ["ColliderContacts"]
 
 SLOTS = {2: 3, 3: 4}  # contacts of one ball with colliders in the solve; impacts need none
-# of the radius: the most that a curved surface may fall away from or rise into the way of a ball in a step
+# of the radius: the most that a surface may fall away from or rise into the way of a ball in a step beyond what the plane that
+# touches it does as it turns
 STEEPEST_FALL = 0.25
 
 
@@ -121,7 +122,8 @@ class ColliderContacts:
             else:
                 k = self.colliders.count
         fall = ti.select(ti.abs(fall) > rounding, fall, 0.0)
-        return -ti.max(-most, ti.min(most, fall)) / h
+        plane = n.dot(geometry.carried_back(self.colliders, own, after, h) - x)
+        return -ti.max(ti.min(0.0, plane) - most, ti.min(ti.max(0.0, plane) + most, fall)) / h
 
     @ti.func
     def _goes_on(self, i, k, x, reach):

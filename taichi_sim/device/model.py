@@ -84,9 +84,12 @@ class Model:
         return 1.0 / (1.0 + self.spin_response(i))
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Balls that a spring or a membrane joins each ball to, as (start (n + 1), other (2 m)), sorted."""
-        scene = self.scene
-        return incidence(np.concatenate([scene.pairs, unique_edges(scene.membranes)]), self.n)[:2]
+        """Balls that a spring, a membrane, a solid or a brick joins each ball to, as (start (n + 1), other (2 m)), sorted."""
+        scene, pairs = self.scene, [self.scene.pairs, unique_edges(self.scene.membranes)]
+        for corners in (scene.solids, scene.bricks):
+            ends = corners[:, np.stack(np.triu_indices(corners.shape[1], 1), axis=1)]
+            pairs.append(np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0))
+        return incidence(np.unique(np.concatenate(pairs), axis=0), self.n)[:2]
 
 
 def phase_type(dim: int, real: object) -> dict[str, object]:

@@ -20,7 +20,7 @@ Args that several shapes have:
     rotation: about its own origin [degrees]: about the x, y and z axis in this order, in 2D one angle.
     scale: its size in relation to what the other arguments say [1].
     colour: sRGB in 0..1 [1]; chosen by the renderer otherwise.
-    self_collision: whether its balls collide with each other; those that a spring joins never do.
+    self_collision: whether its balls collide with each other; those that a spring, a solid or a brick joins never do.
     surface_collision: in 3D, whether nothing goes through its triangles, its own balls included. One is no more
         once a spring at its side has torn.
 

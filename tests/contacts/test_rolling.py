@@ -107,3 +107,18 @@ def test_a_disc_rolls_down_a_round_ground_and_leaves_it():
         sim.run(1.2)
         assert np.linalg.norm(sim.position[0]) > large + small + 0.01
         assert sim.velocity[0, 0] == pytest.approx(np.sqrt(fall * cosine) * cosine, rel=3e-3)
+
+
+@pytest.mark.slow
+def test_balls_that_a_brick_joins_do_not_rub_each_other():
+    """A turning block of jelly whose balls overlap, and may touch those of other places, keeps its angular momentum."""
+    scene = ts.Scene(dim=3)
+    scene.add_material("rough", friction=0.7)
+    more = {"radius": 0.06, "self_collision": True, "material": "rough"}
+    block = ts.shapes.jelly(scene, size=(0.3, 0.2, 0.2), resolution=(4, 3, 3), density=400, young_modulus=5e5, **more)
+    assert len(scene.bricks) > 0
+    scene.set_balls(velocity=np.cross((0.0, 0.0, 2.0), scene.position - scene.position[block.balls].mean(axis=0)))
+    with ts.Simulation(scene) as sim:
+        before = sim.angular_momentum()[2]
+        sim.step(20)
+        assert sim.angular_momentum()[2] == pytest.approx(before, rel=1e-3)

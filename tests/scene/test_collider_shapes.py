@@ -161,6 +161,45 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         assert few == pytest.approx(expected[listed], abs=1e-12 if PRECISION == "f64" else 1e-6)
 
 
+def test_directions_close_to_a_large_triangle_are_its_normal():
+    """To the rounding of a unit vector; the way to a place so close, by which they were taken, is rounded as its coordinates."""
+    from taichi_sim.kernels.contacts.triangle_tree import signed_distance
+
+    from taichi_sim.contacts.distance_grid import distance_grid
+    from taichi_sim.device import backend
+    from taichi_sim.device.engine import ti
+
+    backend.start(arch="cpu", precision=PRECISION)
+    real = np.float32 if PRECISION == "f32" else np.float64
+
+    @ti.kernel
+    def measure(
+        box: ti.types.ndarray(),
+        link: ti.types.ndarray(ti.i32, 1),
+        triangle: ti.types.ndarray(),
+        p: ti.types.ndarray(),
+        found: ti.types.ndarray(),
+    ):
+        for i in range(p.shape[0]):
+            d, n, _ = signed_distance(box, link, triangle, 0, link[0], 0, ti.Vector([p[i, 0], p[i, 1], p[i, 2]]))
+            for a in ti.static(range(3)):
+                found[i, a] = n[a]
+            found[i, 3] = d
+
+    turn, rng = turn_matrix(np.array([[0.4, -0.3, 0.7]]))[0], np.random.default_rng(5)
+    mesh = collider(ts.Mesh((24.0 * CUBE[0] @ turn.T, CUBE[1]), resolution=8), 3)
+    tree = distance_grid(mesh, 0.1, 0.1).tree
+    tables = [np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real))]
+    p = rng.uniform(-11.0, 11.0, (60, 3))
+    d = rng.choice([-0.03, 0.02, 0.3], 60)
+    p[:, 1] = 12.0 + d
+    found = np.zeros((60, 4), dtype=real)
+    measure(*tables, np.ascontiguousarray(p @ turn.T, dtype=real), found)
+    eps = np.finfo(real).eps
+    assert np.abs(found[:, :3] - turn[:, 1]).max() < 2 * eps
+    assert np.abs(found[:, 3] - d).max() < 2 * 24.0 * eps
+
+
 def test_turns_of_any_size():
     rng = np.random.default_rng(0)
     turn = rng.normal(size=(50, 3))
