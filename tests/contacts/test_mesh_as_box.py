@@ -1,4 +1,4 @@
-"""A mesh of a block acts as the block does and as it does to who flies along: crowds in one cell, large balls, spinning bullets."""
+"""A block as a mesh acts as the box of its size, and as one seen in flight: crowds in a cell, large balls, spinning bullets."""
 
 import numpy as np
 import pytest
@@ -17,10 +17,10 @@ NEAR = 1e-8 if F64 else 1e-4  # of the speed
 
 
 def shots():
-    """Positions, velocities and speeds of the surface by spin (n, 3): balls that fall on one cell, that are larger than the block, and bullets of ten
-    radii a step."""
+    """Positions, velocities and speeds of the surface by spin (n, 3): of balls that fall on one cell, of some larger than the
+    block, and of bullets of ten radii a step."""
     rng = np.random.default_rng(11)
-    above = [0.1, SIZE[1] / 2 + 0.05, 0.1] + rng.uniform(-0.02, 0.02, (CROWD, 3))
+    above = np.array([0.1, SIZE[1] / 2 + 0.05, 0.1]) + rng.uniform(-0.02, 0.02, (CROWD, 3))
     falls = np.tile([0.2, -2.5, 0.1], (CROWD, 1)) + rng.uniform(-0.5, 0.5, (CROWD, 3))
     out = rng.normal(size=(LARGE + BULLETS, 3))
     out /= np.linalg.norm(out, axis=1)[:, None]
