@@ -8,9 +8,10 @@ finds it, as any other load, and bears it.
 
 Friction that followed the stage would strain elements after they were solved for, which gives energy. So it acts in the stage
 too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. The slip is that of
-the way since the start of the step, so that friction does no work on what moves past a surface. Both b and u are those of the
-solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its
-direction, which is implicit.
+the way since the start of the step, so that friction does no work on what moves past a surface. Each
+surface drags at the slip past it; together they drag as one that moves with their mean, weighted by their drags. Both
+b and u are those of the solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact),
+but for its direction, which is implicit.
 """
 
 from typing import Any
@@ -43,11 +44,11 @@ class HeldBalls:
     Fields: `normals` (n): the projection on the directions along which a ball is held, 0 of most; `reaction` (n) [m/s]: what the
     solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
     surface k: whether it `holds`, the `target` of the speed away from it, -FAR_GAP where the ball cannot reach it, and its
-    `push` [m/s]. `friction`: the `most` that it can change a velocity by [m/s], and its `drag`, in this solution and the `next`.
+    `push` [m/s] and `drag` in this solution. `friction`: the `most` that it can change a velocity by [m/s], and all `drag`.
     `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before
     the stage begins, over the length of this, and `span`, the time from the start of the step to the end of the stage, over the
-    same; `carried`, the velocity with which it ends the stage if it does not slide; `rubbed`, what friction changed in the last
-    stage, and `kept`, the part of that in this one.
+    same; `carried`, the velocity with which it ends the stage if its surfaces carry it; `rubbed`, what friction changed in the
+    last stage, and `kept`, the part of that in this one.
     """
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
@@ -58,13 +59,10 @@ class HeldBalls:
         walls.foresees = True
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
-        self.contact = fields.table(
-            {"holds": ti.i32, "target": fields.real, "push": fields.real}, model.n * walls.count
-        )
+        reals = ("target", "push", "drag") if self.rubs else ("target", "push")
+        self.contact = fields.table({"holds": ti.i32, **dict.fromkeys(reals, fields.real)}, model.n * walls.count)
         if self.rubs:
-            self.friction = fields.table(
-                dict.fromkeys(("most", "before", "drag", "next", "wrong"), fields.real), model.n
-            )
+            self.friction = fields.table(dict.fromkeys(("most", "before", "drag", "wrong"), fields.real), model.n)
             self.last_most = fields.reals(model.n * method.stages)
             self.span = fields.reals(model.n)
             self.carries = fields.reals(np.array(method.carries))
@@ -94,6 +92,7 @@ class HeldBalls:
             c, holds = i * self.walls.count + k, False
             gap = self.walls.gap(x, i, k)
             self.contact[c].target = -FAR_GAP
+            self.contact[c].push = 0.0
             if gap < FAR_GAP:
                 self.walls.end_foreseen(i, k, gap)
                 n = self.walls.normal(i, k)
@@ -194,13 +193,13 @@ class HeldBalls:
         return rest
 
     @ti.func
-    def amiss(self, i, v, allowed, inverse):
+    def amiss(self, i, v, allowed):
         """Impulse [N s] that is wrong with the surfaces of ball i at the velocity v: with which those that hold it would have to
         pull, others to stop it, and by which friction is not what they can give. Notes their pushes. allowed: part of all
-        impulses that the residual may be, squared. inverse: of the block of ball i [1/kg]."""
+        impulses that the residual may be, squared."""
         rest = self.unborne(i)
         if ti.static(self.rubs):
-            change = self._change_of_friction(i, v, inverse)
+            change = self._change_of_friction(i, v)
             rest += (ti.sqrt(allowed) / FRICTION_TOLERANCE) * change
             self.friction[i].wrong = change.norm()
         for k in range(self.walls.count):
@@ -214,15 +213,16 @@ class HeldBalls:
         return rest / self.model.inverse_mass[i]
 
     @ti.func
-    def renew(self, i, v):
+    def renew(self, i, v, inverse):
         """Have those surfaces hold ball i that push, with the friction that they can give, see `amiss`. Returns the velocity
-        that it has then in place of v."""
+        that it has then in place of v. inverse: of its block of the matrix [1/kg]."""
+        if ti.static(self.rubs):
+            self._renew_drags(i, v, inverse)
         for c in range(i * self.walls.count, (i + 1) * self.walls.count):
             self.contact[c].holds = ti.cast(self.contact[c].push > 0.0, ti.i32)
         self._span(i)
         if ti.static(self.rubs):
-            self.friction[i].drag = self.friction[i].next
-            self._note_carrier(i)
+            self._add_drags(i)
         result = v
         if self.holds(i):
             result = self._with_targets(i, v)
@@ -236,7 +236,10 @@ class HeldBalls:
         self.reaction[i] = self.reaction[i] + self.unborne(i)
         if ti.static(self.rubs):
             self._bound_friction(i)
-            self.friction[i].drag = self._allowed_drag(i, v)
+            for k in range(self.walls.count):
+                if self.contact[i * self.walls.count + k].holds == 1:
+                    self.contact[i * self.walls.count + k].drag = self._allowed_drag(i, k, v)
+            self._add_drags(i)
             self.rubbed[i] = self.rub(i, v)
             self.reaction[i] = self.reaction[i] - self.rubbed[i]
             self.last_most[stage * self.model.n + i] = self.friction[i].most
@@ -303,39 +306,50 @@ class HeldBalls:
         carries, before = self.carries[stage], ti.max(0, stage - 1) * self.model.n + i
         self.friction[i].before = carries * self.last_most[before]
         self.kept[i] = carries * self.rubbed[i]
-        self._note_carrier(i)
-        self.friction[i].drag = self._drag(i, v)
+        for k in range(self.walls.count):
+            if self.contact[i * self.walls.count + k].holds == 1:
+                most, slow = self._most(i, k), self._slowest(i, k, v)
+                speed = ti.sqrt(self._past(i, k, v).norm_sqr() + slow * slow)
+                self.contact[i * self.walls.count + k].drag = ti.select(most > 0.0, most / speed, 0.0)
+        self._add_drags(i)
 
     @ti.func
-    def _note_carrier(self, i):
-        """Note the velocity with which ball i ends the stage where what holds it carries it."""
-        carried, at_rest = -self.moved[i], ti.Vector.zero(float, self.dim)
+    def _add_drags(self, i):
+        """Add up the drags of the surfaces that hold ball i, and note the velocity with which these together carry it."""
+        drag, carried = ti.cast(0.0, float), ti.Vector.zero(float, self.dim)
+        for k in range(self.walls.count):
+            c = i * self.walls.count + k
+            if self.contact[c].holds == 1:
+                drag += self.contact[c].drag
+                carried += self.contact[c].drag * self._carrier(i, k)
+        self.friction[i].drag = drag
+        self.carried[i] = ti.select(drag > 0.0, carried / ti.select(drag > 0.0, drag, 1.0), -self.moved[i])
+
+    @ti.func
+    def _carrier(self, i, k):
+        """Velocity with which ball i ends the stage where surface k carries it."""
+        carried = -self.moved[i]
         if ti.static(self.walls.moves):
-            of_surface = at_rest
-            for k in range(self.walls.count):
-                if self.contact[i * self.walls.count + k].holds == 1:
-                    of_surface = -self.walls.relative(at_rest, i, k)
-            carried += self.span[i] * of_surface
-        self.carried[i] = carried
+            carried -= self.span[i] * self.walls.relative(ti.Vector.zero(float, self.dim), i, k)
+        return carried
 
     @ti.func
     def slip(self, i, v):
         """Way of ball i along the surfaces that hold it, from the start of the step to the end of the stage, which it leaves with
-        the velocity v; over the length of the stage [m/s]."""
+        the velocity v; over the length of the stage [m/s]. Past surfaces that move apart: their mean, weighted by their drags."""
         return self.along(i, v - self.carried[i])
 
     @ti.func
-    def _drag(self, i, v):
-        """Drag of ball i with which its friction is the most that it can be at the velocity v, and less if it sticks."""
-        most = self.friction[i].most
-        speed = ti.sqrt(self.slip(i, v).norm_sqr() + self._slowest(i, v) ** 2)
-        return ti.select(most > 0.0, most / ti.select(most > 0.0, speed, 1.0), 0.0)
+    def _past(self, i, k, v):
+        """Slip of ball i past surface k alone, in its plane, see `slip`."""
+        slip, n = v - self._carrier(i, k), self.walls.normal(i, k)
+        return slip - n.dot(slip) * n
 
     @ti.func
-    def _slowest(self, i, v):
-        """Slip [m/s] below which ball i, at the velocity v, sticks."""
-        rounded = (ROUNDING * self.eps) ** 2 * (v.norm_sqr() + self.carried[i].norm_sqr())
-        return ti.sqrt((STUCK * self.friction[i].most) ** 2 + rounded)
+    def _slowest(self, i, k, v):
+        """Slip [m/s] below which ball i, at the velocity v, sticks to surface k."""
+        rounded = (ROUNDING * self.eps) ** 2 * (v.norm_sqr() + self._carrier(i, k).norm_sqr())
+        return ti.sqrt((STUCK * self._most(i, k)) ** 2 + rounded)
 
     @ti.func
     def rub(self, i, v):
@@ -353,46 +367,82 @@ class HeldBalls:
         return 0.5 * self.friction[i].drag * self.slip(i, v).norm_sqr() + self._kept(i).dot(v)
 
     @ti.func
-    def _change_of_friction(self, i, v, inverse):
-        """Change of the velocity v of ball i by which its friction is not what its pushes allow; notes the drag to go on with.
-        inverse: of its block of the matrix [1/kg]."""
+    def _change_of_friction(self, i, v):
+        """Change of the velocity v of ball i by which its friction is not what its pushes allow."""
         self._bound_friction(i)
-        self._note_next(i, v, inverse)
-        return (self.friction[i].drag - self._allowed_drag(i, v)) * self.slip(i, v)
+        change = ti.Vector.zero(float, self.dim)
+        for k in range(self.walls.count):
+            c = i * self.walls.count + k
+            if self.contact[c].holds == 1:
+                slip = self.along(i, v - self._carrier(i, k))
+                change += (self.contact[c].drag - self._allowed_drag(i, k, v)) * slip
+        return change
 
     @ti.func
-    def _allowed_drag(self, i, v):
-        """The drag of ball i at the velocity v, bounded by what its friction may be: of one that sticks, any up to the most."""
-        most, slip, drag = self.friction[i].most, self.slip(i, v).norm(), self.friction[i].drag
+    def _allowed_drag(self, i, k, v):
+        """The drag of surface k on ball i at the velocity v, bounded by what its friction may be: where the ball sticks, any up
+        to the most."""
+        most, slip, drag = self._most(i, k), self._past(i, k, v).norm(), self.contact[i * self.walls.count + k].drag
         if slip > 0.0:
-            stuck = ti.min(1.0, SLOW * self._slowest(i, v) / slip)
+            stuck = ti.min(1.0, SLOW * self._slowest(i, k, v) / slip)
             drag = ti.max(ti.min(drag, most / slip), (1.0 - stuck * stuck) * most / slip)
         return drag
 
     @ti.func
-    def _note_next(self, i, v, inverse):
-        """Note the drag of ball i that its friction has where it meets the line on which the ball alone answers to it: by more
-        slip to less friction. As the slip is given, it is that of a ball that slides; as the friction is, of one that sticks."""
-        most, drag, slowest = self.friction[i].most, self.friction[i].drag, self._slowest(i, v)
-        stiff = ti.max(1.0, self.dim * self.model.inverse_mass[i] / inverse.trace() - drag)
-        slip = self.slip(i, v).norm()
-        whole, found = slip + drag / stiff * slip, 0.0 * slip
+    def _renew_drags(self, i, v, inverse):
+        """Give each surface of ball i the drag that its friction has where it meets the line on which the ball alone answers to
+        it: by more slip to less friction. As the slip is given, it is that of a ball that slides; as the friction is, of one that
+        sticks."""
+        whole_drag = self.dim * self.model.inverse_mass[i] / inverse.trace()
+        for k in range(self.walls.count):
+            c = i * self.walls.count + k
+            if self.contact[c].holds == 1:
+                self.contact[c].drag = self._next_drag(i, k, v, ti.max(1.0, whole_drag - self.contact[c].drag))
+            else:
+                self.contact[c].drag = 0.0
+
+    @ti.func
+    def _next_drag(self, i, k, v, stiff):
+        """The drag of surface k to go on with, see `_renew_drags`. stiff: what else resists a change of velocity, by mass."""
+        most, slip = self._most(i, k), self.along(i, v - self._carrier(i, k)).norm()
+        across = ti.max(0.0, self._past(i, k, v).norm_sqr() - slip * slip)  # where other surfaces let it not go
+        square = self._slowest(i, k, v) ** 2 + across
+        whole, found = slip + self.contact[i * self.walls.count + k].drag / stiff * slip, 0.0 * slip
+        drag = 0.0 * slip
         if most > 0.0:
             for _ in range(SLIPS):  # Newton's method from below, where it converges from one side
-                speed = ti.sqrt(found * found + slowest * slowest)
+                speed = ti.sqrt(found * found + square)
                 over = found + most / stiff * found / speed - whole
-                found -= over / (1.0 + most / stiff * slowest * slowest / speed**3)
-            drag = most / ti.sqrt(found * found + slowest * slowest)
-        self.friction[i].next = ti.select(most > 0.0, drag, 0.0)
+                found -= over / (1.0 + most / stiff * square / speed**3)
+            drag = most / ti.sqrt(found * found + square)
+        return drag
 
     @ti.func
     def _bound_friction(self, i):
         """Bound the friction of ball i by its pushes."""
         most = self.friction[i].before
         for k in range(self.walls.count):
-            if self._stays_at(i, k):
-                most += self.walls.law(i, k).friction * self.contact[i * self.walls.count + k].push
+            most += self._load(i, k)
         self.friction[i].most = most
+
+    @ti.func
+    def _load(self, i, k):
+        """Change of velocity that friction with surface k can give for its push on ball i [m/s]."""
+        load = ti.cast(0.0, float)
+        if self._stays_at(i, k):
+            load = self.walls.law(i, k).friction * self.contact[i * self.walls.count + k].push
+        return load
+
+    @ti.func
+    def _most(self, i, k):
+        """The part of the most friction of ball i that surface k gives: as it pushes, or where none does, all alike."""
+        loads, number = ti.cast(0.0, float), 0
+        for other in range(self.walls.count):
+            if self.contact[i * self.walls.count + other].holds == 1:
+                loads += self._load(i, other)
+                number += 1
+        share = ti.select(loads > 0.0, self._load(i, k) / ti.select(loads > 0.0, loads, 1.0), 1.0 / ti.max(1, number))
+        return share * self.friction[i].most
 
     @ti.func
     def _stays_at(self, i, k):

@@ -622,7 +622,7 @@ class StageSolver(Verdicts):
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 if self.held.could_hold(i):
-                    p = self.held.amiss(i, self.base[i].v, allowed, self.inverse_block[i])
+                    p = self.held.amiss(i, self.base[i].v, allowed)
                     pull += ti.cast(p.dot(self.inverse_block[i] @ p), self.wide)
                     if ti.static(self.rubs):
                         wrong += ti.cast(self.mass(i) * self.held.friction[i].wrong, self.wide)
@@ -637,7 +637,7 @@ class StageSolver(Verdicts):
                 for k in range(self.bodies.part[c].count):
                     i = self.bodies.ball(c, k)
                     if self.held.could_hold(i):
-                        self.base[i].v = self.held.renew(i, self.base[i].v)
+                        self.base[i].v = self.held.renew(i, self.base[i].v, self.inverse_block[i])
 
     @ti.func
     def velocity(self, i):

@@ -219,6 +219,40 @@ def test_friction_holds_a_stiff_pair_in_a_hollow_without_its_spring(method):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_each_side_of_a_groove_drags_as_it_moves(method):
+    """A ball between a floor and a side that moves along; gravity presses it on both, and a stiff spring holds it back. A still
+    floor bears what it can of the difference. Where both move apart, the spring pulls with the difference of their friction."""
+    friction, mass, radius, h, down = 0.3, 0.5, 0.03, 1 / 50, 8.0
+
+    def groove(aside, ratio, floor):
+        scene = ts.Scene(dim=3, gravity=(-aside, -down, 0.0))
+        scene.add_material("felt", friction=friction)
+        for center, speed in (((0.0, -5.0, 0.0), floor), ((-5.0, 5.0, 0.0), 0.7)):
+            scene.add_collider(ts.Box(center, (10.0, 10.0, 60.0), velocity=(0.0, 0.0, speed), material="felt"))
+        places = [[radius, radius, 0.0], [radius, radius, -0.4]]
+        scene.add_balls(places, radius=radius, mass=mass, pinned=[1], material="felt")
+        stiffness = ratio * mass / h**2
+        scene.add_springs([[0, 1]], stiffness=stiffness, damping=2.0 * np.sqrt(stiffness * mass))
+        scene.add_probe("spring", "tension", spring=0)
+        return scene
+
+    with simulate(groove(2.0, 8.0, 0.0), integrator=method, dt=h, substeps=1) as sim:
+        for aside, floor in ((2.0, 0.0), (12.0, 0.0), (3.0, -0.4), (12.0, -0.4)):
+            sim.reset(groove(aside, 8.0, floor))
+            sim.step(40)
+            pulls = []
+            for _ in range(10):
+                sim.step()
+                pulls.append(sim.probe("spring.tension"))
+            pull = np.mean(pulls) / (friction * mass)  # m/s^2
+            if floor:  # it slides past both
+                assert abs(pull - (aside - down)) < 0.02 * (aside + down), (aside, floor, pull)
+            else:
+                assert abs(pull - aside) < 1.02 * down, (aside, floor, pull)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 def test_what_slides_goes_on_from_a_file_with_the_same_bits(method, tmp_path):
     """Friction of the step before is where that of the next begins."""
     scene, place = ts.Scene(dim=2, gravity=(3.0, -9.0)), np.array([[0.0, 0.02], [0.1, 0.02], [0.05, 0.1]])
