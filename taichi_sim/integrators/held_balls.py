@@ -243,7 +243,8 @@ class HeldBalls:
             self.rubbed[i] = self.rub(i, v)
             self.reaction[i] = self.reaction[i] - self.rubbed[i]
             self.last_most[stage * self.model.n + i] = self.friction[i].most
-        self.foresee(i)
+        if ti.static(self.rubs):
+            self.foresee(i)
         return v + self.reaction[i]
 
     @ti.func
