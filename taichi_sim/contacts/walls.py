@@ -262,6 +262,8 @@ class Walls(Surfaces):
                         if ti.static(self.model.has_friction):  # else what friction stops would be lifted off a hollow
                             slides += self.model.inverse_mass[i] * self.contact[c].tangential_impulse
                         target = self.following(ball[i].x, slides, i, k, 1.0 / solver.rate[0])
+                        if ti.static(self.foresees):  # stages end there, too
+                            target -= ti.max(0.0, gap) * solver.rate[0]
                 self.contact[c].target = target + lost
                 if ti.static(starts):
                     p = self.contact[c].impulse * n

@@ -98,12 +98,13 @@ class HeldBalls:
                 n = self.walls.normal(i, k)
                 approach = -n.dot(self.walls.relative(q, i, k))
                 ahead = n.dot(shift + (ends - s) * self.walls.relative(0.0 * v, i, k))
+                if meets:  # it ends at the surface: what a ball at rest drifts off does not add up
+                    ahead += ti.max(0.0, gap)
                 if self.walls.contact[c].role == RESTING:
                     ahead -= ends * self.walls.following(x, (shift + s * expected) / ends, i, k, ends)
                     holds = self.walls.contact[c].impulse > 0.0 or s * approach > ahead
                     self.contact[c].target = -ahead / s
                 elif meets:
-                    ahead += ti.max(0.0, gap)
                     holds = s * approach > ahead
                     self.contact[c].target = -ahead / s
             self.contact[c].holds = ti.cast(holds, ti.i32)
