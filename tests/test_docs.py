@@ -85,7 +85,7 @@ def messages():
                     if ast.unparse(node.func) in (
                         "BackendError",
                         "UnstableError",
-                        "warnings.warn",
+                        "warn",
                         "self._end",
                     ):  # of Retry
                         text = re.sub(r"(\.\.\.)+", "...", words(node.args[0]))

@@ -22,7 +22,7 @@ from taichi_sim.studies.workers import Workers, _answers
 from taichi_sim.sweeps import study
 from taichi_sim.sweeps.folder import SweepFolder
 from taichi_sim.sweeps.measures import measures_of
-from taichi_sim.sweeps.points import Point, Row, Runner, keep_batch
+from taichi_sim.sweeps.points import Job, Point, Row, Runner, keep_batch
 from taichi_sim.sweeps.study import Study
 from taichi_sim.sweeps.subject import FileSubject, subject_of
 
@@ -519,7 +519,15 @@ def test_a_worker_that_ends_before_its_rows_are_fetched_has_its_points_repeated(
     points = [Point({"a": k}) for k in range(3)]
     folder = SweepFolder(tmp_path / "s", {})
     folder.begin()
-    study = Study(None, None, SimpleNamespace(job=None), folder, {"a": {}}, lambda: Workers(Client(), 1, False), print)
+    study = Study(
+        None,
+        None,
+        SimpleNamespace(job=Job(None, None, {})),
+        folder,
+        {"a": {}},
+        lambda: Workers(Client(), 1, False),
+        print,
+    )
     monkeypatch.setattr("taichi_sim.sweeps.study.FEW_TASKS", 1)
     rows = [row for some in study.run(points) for row in some]
     assert batches == [3, 1, 1, 1]
@@ -597,7 +605,13 @@ def test_a_point_that_waits_behind_one_that_ends_its_worker_is_not_blamed(tmp_pa
     monkeypatch.setattr(study, "run_batch", lambda job, points: [Row.of(point) for point in points])
     kept = SimpleNamespace(rows={}, batches=tmp_path, mark="", add=lambda rows: None)
     run = Study(
-        None, None, SimpleNamespace(job=None), kept, {"restitution": {}}, lambda: Workers(client, 1, False), print
+        None,
+        None,
+        SimpleNamespace(job=Job(None, None, {})),
+        kept,
+        {"restitution": {}},
+        lambda: Workers(client, 1, False),
+        print,
     ).run
     points = [Point({"restitution": value}) for value in (0.5, 0.2, 0.4, 0.6)]
     rows = [row for some in run(points) for row in some]
