@@ -4,7 +4,7 @@ import dataclasses
 import inspect
 import re
 
-from docutils.nodes import SkipNode
+from docutils.nodes import SkipNode, literal
 
 import taichi_sim
 from taichi_sim.common.docstrings import described
@@ -38,6 +38,7 @@ autodoc_typehints = "none"  # units stand in the text
 autodoc_preserve_defaults = True
 python_maximum_signature_line_length = 80
 highlight_language = "none"
+LONGEST_WORD = 30  # letters of inline code that stay on one line
 pygments_style, pygments_dark_style = "friendly", "monokai"
 
 
@@ -85,6 +86,14 @@ def visit_block(self, node) -> None:
     raise SkipNode
 
 
+def mark_long_code(app, page) -> None:
+    """Give inline code with a word that is too long for a line of a phone the class `long`: site.css lets it break."""
+    for code in page.findall(literal):
+        if max(map(len, code.astext().split()), default=0) > LONGEST_WORD:
+            code["classes"].append("long")
+
+
 def setup(app) -> None:
+    app.connect("doctree-read", mark_long_code)
     app.connect("autodoc-process-docstring", docstring)
     app.add_html_math_renderer("paths", (visit_inline, None), (visit_block, None))
