@@ -3,9 +3,9 @@
 Unknown are the velocities v at the end of a stage of s seconds, where x = p + s v and v = q + s w F(x, v). Its residual, an
 impulse, is r = m (q - v) + s F; its matrix A = M + s C + s^2 K has for each spring the block
 
-    s c n n^T + s^2 k (n n^T + max(0, 1 - l / d) (I - n n^T)) = along r r^T + across I,
+    (s c + s^2 k) n n^T + s^2 max(0, T / d) (I - n n^T) = along r r^T + across I
 
-without the negative part of the geometric stiffness of compressed springs, so that A is positive definite at any step. Scalar
+with the tension T, that of damping included, without what is negative, so that A is positive definite at any step. Scalar
 products are summed in double precision, where the device has it, and in parts of a fixed length: the same bits for any number
 of threads.
 """
@@ -33,18 +33,18 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
         inverse = 1.0
     pull = tension(spring, s, d, inverse, padded_blocks.dot(u, r, dim), damped)
     rate = s * (s * spring.stiffness)
-    across = ti.select(d >= spring.rest_length, rate * (1.0 - spring.rest_length * inverse), 0.0 * rate)
+    across = ti.max(0.0 * rate, s * inverse * pull)
     if ti.static(damped):
         rate += s * spring.damping
     return inverse * pull * r, r, (rate - across) * inverse * inverse, across
 
 
 @ti.func
-def potential(r, u, spring, s, damped: ti.template()):
-    """Part of a spring in the potential of a stage, its ends r [m] apart with the relative velocity u [m/s]."""
-    d = r.norm()
-    phi = energy(spring.stiffness, d - spring.rest_length)
+def potential(r, u, before, spring, s, damped: ti.template()):
+    """Part of a spring in the potential of a stage, its ends r [m] apart with the relative velocity u [m/s]. Damping acts along
+    `before` [m], their way before a change: it has a potential only along a direction that stays."""
+    phi = energy(spring.stiffness, r.norm() - spring.rest_length)
     if ti.static(damped):
-        rate = u.dot(r) / ti.max(d, ti.sqrt(padded_blocks.COINCIDENT))
+        rate = u.dot(before) / ti.max(before.norm(), ti.sqrt(padded_blocks.COINCIDENT))
         phi += 0.5 * s * spring.damping * rate * rate
     return phi

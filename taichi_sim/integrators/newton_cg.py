@@ -401,10 +401,10 @@ class StageSolver(Verdicts):
         b = self.bodies.part[c].body
         if self.doubted(b):
             phi = ti.cast(0.0, self.wide)
-            part = taken * ti.cast(self.number[b].part, float)
+            whole = ti.cast(self.number[b].part, float)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
-                phi += ti.cast(self._potential(i, s, part), self.wide)
+                phi += ti.cast(self._potential(i, s, taken * whole, whole), self.wide)
                 if ti.static(self.has_elements):
                     if self.model.inverse_mass[i] > 0.0:
                         phi += self.elements.potential(i, s)
@@ -412,8 +412,9 @@ class StageSolver(Verdicts):
             self.part[c].potential = phi
 
     @ti.func
-    def _potential(self, i, s, part):
-        """Potential of ball i and its springs, see `_own_springs`, with `part` of the change taken back."""
+    def _potential(self, i, s, part, whole):
+        """Potential of ball i and its springs, see `_own_springs`, with `part` of the change taken back, of which `whole` was
+        added."""
         v = self.base[i].v - part * self.dv[i]
         phi = 0.5 * self.mass(i) * (self.q[i] - v).norm_sqr()
         if ti.static(self.rubs):
@@ -421,9 +422,10 @@ class StageSolver(Verdicts):
         if ti.static(self.has_springs):
             for k in range(self.potential_start[i], self.potential_start[i + 1]):
                 spring, j = self.springs.spring[self.potential_entry[k].spring], self.potential_entry[k].other
-                u = self.base[j].v - part * self.dv[j]
-                r = (self.base[j].x - self.base[i].x) + s * (u - v)
-                phi += newton_terms.potential(r, u - v, spring, s, self.springs.damped)
+                u, change = self.base[j].v - part * self.dv[j] - v, self.dv[j] - self.dv[i]
+                r = (self.base[j].x - self.base[i].x) + s * u
+                before = r - s * (whole - part) * change
+                phi += newton_terms.potential(r, u, before, spring, s, self.springs.damped)
         return phi
 
     # Newton's iterations

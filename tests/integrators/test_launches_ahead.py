@@ -64,6 +64,6 @@ def test_the_same_solution_with_few_questions(build, method, monkeypatch):
     assert ahead.misses == report.misses == 0
     assert ahead.passes == pytest.approx(report.passes, rel=0.2)  # guesses are judged that need not be
     assert here == pytest.approx(there, abs=1e-4)
-    assert counts["iterations"] >= asked["iterations"]
+    assert counts["iterations"] >= 0.95 * asked["iterations"]  # other orders of sums: a round more or less
     assert counts["questions"] < 1.7 * counts["iterations"]
     assert asked["questions"] > 3 * asked["iterations"]
