@@ -85,6 +85,7 @@ def messages():
                     if ast.unparse(node.func) in (
                         "BackendError",
                         "UnstableError",
+                        "warn",
                         "warnings.warn",
                         "self._end",
                     ):  # of Retry
