@@ -20,9 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.common.quantities import percent
+from taichi_sim.common.quantities import at_most, percent
+from taichi_sim.geometry.mesh import Surface
 from taichi_sim.scene.objects import SceneObject, owner
 from taichi_sim.scene.scene import Scene
+from taichi_sim.shapes.jelly_material import boxes_in, skin_of_boxes
 
 __all__ = ["bent_findings", "beyond_bricks", "few_across", "ropes"]
 
@@ -38,6 +40,8 @@ LOCKS = 0.49  # Poisson's ratio in three dimensions, above which two layers are 
 BOXES = {2: (2.0, 0.46), 3: (2.1, 0.7)}  # c and d
 TOO_STIFF = 0.02  # of a stiffness, from which it is reported
 TOO_FAR = 1 / 16  # of the size of a mesh, a default brick: beyond its bricks, from which it is reported
+FINER = 0.95  # of a spacing that is too long: the next to try
+MOST_TRIED = 1e6  # boxes around a mesh that is filled to try a spacing
 
 
 class _Bend(NamedTuple):
@@ -64,22 +68,44 @@ def bent_findings(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def beyond_bricks(scene: Scene) -> Iterator[tuple[str, str]]:
     """Sentence and cure for each mesh that is drawn farther out than the bricks that move it reach."""
-    of, bit = _objects(scene), np.array(list(itertools.product((0.0, 1.0), repeat=scene.dim)))
+    of = _objects(scene)
     place = {row.tobytes(): k for k, row in enumerate(scene.bricks)} if scene.embedded_surfaces else {}
     for surface in scene.embedded_surfaces:
         brick = np.array([place.get(row.tobytes(), -1) for row in surface.corners])
         if (brick < 0).any():
             continue
-        along = surface.weights @ bit  # of a brick, in parts of its sides
-        size = scene.brick_size[brick]
-        reach = float(np.linalg.norm((along - np.clip(along, 0.0, 1.0)) * size, axis=1).max())
+        reach = _reach(surface.weights, scene.brick_size[brick])
+        corner = scene.position[surface.corners[0]]
+        axes = corner[[1 << k for k in reversed(range(scene.dim))]] - corner[0]
         vertices = np.einsum("sk,ski->si", surface.weights, scene.position[surface.corners])
-        right = TOO_FAR * float(np.ptp(vertices, axis=0).max())
+        mesh = Surface(vertices @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)).T, surface.triangles)
+        right = TOO_FAR * float(np.ptp(mesh.vertices, axis=0).max())
         if reach > right:
             name = scene.objects[of[surface.corners[0, 0]]].name
-            spacing = float(size.max()) * right / reach
+            cure = _filling_spacing(mesh, float(scene.brick_size[brick].max()), reach, right)
             says = f"the mesh of {name} reaches up to {reach:.2g} m beyond its bricks, which alone collide"
-            yield says, f'take spacing <= {spacing:.2g} or fill = "tetrahedra"'
+            yield says, f'{cure} or fill = "tetrahedra"'
+
+
+def _reach(weights: Floats, size: float | Floats) -> float:
+    """Largest distance [m] of vertices from the bricks that move them. weights: (v, 2^dim), of corners; size [m]: of bricks."""
+    bit = np.array(list(itertools.product((0.0, 1.0), repeat=int(weights.shape[1]).bit_length() - 1)))
+    along = weights @ bit  # of a brick, in parts of its sides
+    return float(np.linalg.norm((along - np.clip(along, 0.0, 1.0)) * size, axis=1).max())
+
+
+def _filling_spacing(mesh: Surface, spacing: float, reach: float, right: float) -> str:
+    """Advice on the spacing [m] of bricks that a mesh reaches at most `right` [m] beyond, tried on the mesh; it may take so many
+    boxes that it is not tried. reach [m]: beyond bricks of the present spacing."""
+    while True:
+        spacing = float(at_most(spacing * min(FINER, right / reach)))
+        if not np.prod(np.maximum(1.0, np.ptp(mesh.vertices, axis=0) / spacing)) <= MOST_TRIED:
+            return f"try a spacing below {spacing:g}"
+        low, filled = boxes_in(mesh, spacing)
+        if filled.any():
+            reach = _reach(skin_of_boxes(filled, (mesh.vertices - low) / spacing)[1], spacing)
+            if reach <= right:
+                return f"take spacing = {spacing:g}"
 
 
 def ropes(scene: Scene) -> list[SceneObject]:

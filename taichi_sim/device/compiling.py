@@ -179,10 +179,10 @@ class Expected:
         if self._before is None:
             about = self._about() * _pace(recall(TABLE))
             if waited > about:
-                return f"compiling kernels (longer than the {about:.0f} s expected)"
+                return f"compiling kernels (longer than the {about:.0f} s expected, and goes on; no new estimate)"
             return f"compiling kernels (about {about:.0f} s, less where they are cached)"
         if waited > self._before:
-            return f"loading kernels (longer than last time, {self._before:.0f} s)"
+            return f"loading kernels (longer than the {self._before:.0f} s of last time, and goes on; no new estimate)"
         return f"loading kernels (about {self._before:.0f} s)"
 
     def _about(self) -> float:

@@ -141,10 +141,11 @@ class Summary:
                 f" mean at the end {now.mean_penetration:.3g} m: {depth}"
             )
             if scales is not None:
-                left = float(np.median(self.unsolved))
+                left, worst = float(np.median(self.unsolved)), max(self.unsolved)
                 lines.append(
                     f"residual     approach speed left by the contact solver: {left:.3g} m/s typical,"
-                    f" {max(self.unsolved):.3g} m/s worst: {of_approach(left, scales, self.largest_speed, now.iterations)}"
+                    f" {of_approach(left, scales, self.largest_speed, now.iterations)};"
+                    f" {worst:.3g} m/s worst{', which a new impact may leave for a moment' * (worst > left)}"
                 )
             if wanted := late_impacts.cure(*self.late):
                 lines.append(f"impacts      {late_impacts.sentence(self.late[0])}; {wanted}")

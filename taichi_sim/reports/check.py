@@ -17,8 +17,10 @@ from taichi_sim.analysis.methods import (
     XPBD,
     Method,
 )
+from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, soft_step, stability, without
+from taichi_sim.analysis.strikes import strike_step
 from taichi_sim.common.quantities import at_most
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, Settings, part_of_bound
@@ -82,7 +84,7 @@ def _decay(mode: Decay) -> str:
     good = abs(mode.found - mode.exact) <= _allowed(mode)
     exact, found = (rate if abs(rate) > NO_DECAY * mode.frequency else 0.0 for rate in (mode.exact, mode.found))
     if exact == found == 0.0:
-        return f"{mode.frequency:.3g} Hz, does not decay, and does not with this step: good"
+        return f"{mode.frequency:.3g} Hz, is undamped, and this step adds no damping: good"
     return f"{mode.frequency:.3g} Hz, decays by {exact:.3g} a second; with this step by {found:.3g}{': good' * good}"
 
 
@@ -122,12 +124,15 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{f'without spring {limits.spring}':22}{_seconds(longer)} would be the safe step"
     yield ""
     explicit = any(not np.isinf(stability(scene, method, None, custom).dt_any_shape) for method in STIFF)
-    yield f"{'method':18} {'safe step':>11} {'at present':>11} {'passes over the forces per simulated second':>44}"
+    head = f"{'method':18} {'safe step':>11} {'at present':>11} {'step taken':>11}"
+    yield f"{head} {'passes over the forces per simulated second':>44}"
     for method in dict.fromkeys((used, *EXPLICIT, *(STIFF if explicit else ()))):
         found = limits if method is used else stability(scene, method, sim.position, custom)
         step = found.dt_any_shape
-        cost = f"{method.passes(scene, step) / step:.3g}" if 0 < step < np.inf and method not in STIFF else "-"
-        yield f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {cost:>44}"
+        taken = h if method is used else part_of_bound(scene, method) * step
+        cost = f"{method.passes(scene, taken) / taken:.3g}" if 0 < step < np.inf and method not in STIFF else "-"
+        row = f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {_seconds(taken):>11}"
+        yield f"{row} {cost:>44}"
     stiff = ", ".join(map(str, STIFF))
     if explicit:
         yield from _limited(scene, custom)
@@ -136,6 +141,10 @@ def lines(sim: Simulation) -> Iterator[str]:
         soft = soft_step(scene, XPBD)
         above = f" in steps above {at_most(soft)} s" if np.isfinite(soft) else ""
         yield f"{stiff}: any step is stable, but the error grows with it{springs}{above}"
+    answered = [_strike_step(sim, method) for method in STIFF]
+    if np.isfinite(answered).any():
+        steps = ", ".join(at_most(step) for step in answered)
+        yield f"{stiff}, struck by balls: steps of at most {steps} s; impacts may give energy in longer ones"
     yield from _other_by_auto(sim)
     if sim.undeclared_forces:
         names = ", ".join(sim.undeclared_forces)
@@ -156,6 +165,11 @@ def _other_by_auto(sim: Simulation) -> Iterator[str]:
     auto = Settings.resolve(sim.scene, {"integrator": "auto", "dt": sim.settings.dt, "contacts": sim.settings.contacts})
     if auto.integrator.method is not sim.settings.integrator.method:
         yield f'integrator = "auto" would take {auto.integrator.method}: {auto.chosen.partition(" by auto: ")[2]}'
+
+
+def _strike_step(sim: Simulation, method: Method) -> float:
+    """The longest step [s] in which a method answers impacts of balls on springs and elements; infinite without contacts."""
+    return strike_step(sim.scene, method) if sim.setup.rule != "off" else np.inf
 
 
 def _limited(scene: Scene, custom: Declared) -> Iterator[str]:
@@ -179,17 +193,31 @@ def _share(h: float, safe: float, part: float) -> str:
     return f"; the step used is {h / safe:.2g} of that{why * (abs(h / safe - part) < 0.01)}"
 
 
+def _free_choice(sim: Simulation) -> str:
+    """Advice where nothing makes long steps unstable."""
+    used = sim.settings.integrator.method
+    if any(cautions(sim.scene, sim.setup)):
+        return "no spring limits the step; follow the warnings above, then choose it by the accuracy you need"
+    if sim.settings.chosen and used is not VERLET and sim.settings.tolerance is None:
+        return "this step is for pictures; for a number with a known error run `taichi-sim tune`"
+    return "no spring limits the step; choose it by the accuracy you need"
+
+
 def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
     scene, used, h = sim.scene, sim.settings.integrator.method, sim.dt / sim.substeps
     safe = limits.dt_any_shape
     if used.limit is None:
         return f"{used} declares no stability limit: halve the step until the result stays the same"
+    if (struck := _strike_step(sim, used)) < min(soft_step(scene, used), safe):
+        return (
+            f"take steps of {at_most(struck)} s at most, or {VERLET}: in longer ones impacts of balls may give energy"
+        )
     if (soft := soft_step(scene, used)) < safe:
         return (
             f"take steps of {at_most(soft)} s at most: in longer ones {used} leaves springs too long by what they carry"
         )
     if np.isinf(safe):
-        return "no spring limits the step; choose it by the accuracy you need"
+        return _free_choice(sim)
     if safe == 0.0:
         return f"take {SYMPLECTIC_EULER} or {VERLET}: {used} gains energy on an undamped spring whatever the step"
     if limits.spring is not None and longer > MUCH_LONGER * safe and scene.n_springs > 1:

@@ -342,15 +342,12 @@ def _wobbly(
 
 
 def _voxels(surface: meshes.Surface, step: float) -> tuple[jelly_material.Boxes, tuple[NDArray, NDArray]]:
-    low, extent = surface.vertices.min(axis=0), np.ptp(surface.vertices, axis=0)
-    number = np.maximum(1, np.ceil(extent / step - 1e-9))
-    boxes = float(np.prod(number))
+    extent = np.ptp(surface.vertices, axis=0)
+    boxes = float(np.prod(np.maximum(1, np.ceil(extent / step - 1e-9))))
     part = min(1.0, abs(meshes.volume(surface)) / max(1e-300, float(np.prod(extent))))
     balls = boxes * max(part, 0.05)
     affordable("jelly.spacing", step, balls, 0, bricks=balls)
-    shape = tuple(int(n) for n in number)
-    low = low - 0.5 * (number * step - extent)
-    filled = jelly_material.connected(jelly_material.inside(surface, low, step, shape))
+    low, filled = jelly_material.boxes_in(surface, step)
     wrong = meshes.flaws(surface)
     if not filled.any() and wrong:
         raise SceneError("jelly.mesh", says=f"encloses nothing that could be filled: {'; '.join(wrong)}. Mend it")

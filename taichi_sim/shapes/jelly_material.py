@@ -24,6 +24,7 @@ __all__ = [
     "Simplices",
     "box_cells",
     "box_surface",
+    "boxes_in",
     "connected",
     "inside",
     "lattice",
@@ -168,6 +169,15 @@ def box_surface(filled: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 # Meshes ------------------------------------------------------------------------------------------------------------
+
+
+def boxes_in(surface: Surface, step: float) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Lowest corner (3,) [m] of the lattice of boxes with sides of `step` metres around a mesh, and the mask (a, b, c) of those
+    that fill it."""
+    extent = np.ptp(surface.vertices, axis=0)
+    number = np.maximum(1, np.ceil(extent / step - 1e-9))
+    low = surface.vertices.min(axis=0) - 0.5 * (number * step - extent)
+    return low, connected(inside(surface, low, step, tuple(int(n) for n in number)))
 
 
 def inside(surface: Surface, low: NDArray, spacing: float, number: tuple[int, ...]) -> NDArray[np.bool_]:

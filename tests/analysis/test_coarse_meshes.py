@@ -5,10 +5,12 @@ import pytest
 from statics import forces
 
 import taichi_sim as ts
+from taichi_sim.analysis import coarse_meshes
 from taichi_sim.analysis.accuracy import Setup, findings
 from taichi_sim.analysis.coarse_meshes import bent_findings, beyond_bricks, few_across, ropes
 from taichi_sim.analysis.methods import VERLET
 from taichi_sim.geometry.mesh import Surface
+from taichi_sim.geometry.spheres import icosphere
 
 pytestmark = pytest.mark.once
 
@@ -192,9 +194,36 @@ def test_a_mesh_with_tips_that_no_brick_fills():
     assert what.startswith("the mesh of jelly_0 reaches up to")
     assert number(what, "up to ", " m beyond") == pytest.approx(reach, rel=0.01)
     assert len(body.balls) == scene.n_balls
-    spacing = number(cure, "<= ", " or fill")
+    spacing = number(cure, "spacing = ", " or fill")
     assert spacing < 0.08
     for better in ({"spacing": spacing}, {"fill": "tetrahedra"}):
         scene = ts.Scene(dim=3)
         ts.shapes.jelly(scene, mesh=spindle(0.6), **better)
         assert not list(beyond_bricks(scene))
+
+
+@pytest.mark.parametrize("spacing", [0.12, 0.1, 0.08])
+@pytest.mark.parametrize("half", [(0.5, 0.4, 0.3), (0.2, 0.3, 0.2)])
+def test_the_advised_spacing_of_bricks_needs_no_further_advice(half, spacing):
+    """Of ellipsoids, which bricks fill now better and now worse as these get smaller. Turning the body changes nothing."""
+    ball = icosphere(2)
+    ellipsoid = Surface(ball.vertices * half, ball.triangles)
+
+    def advice(step, **place):
+        scene = ts.Scene(dim=3)
+        ts.shapes.jelly(scene, mesh=ellipsoid, spacing=step, **place)
+        return [cure for _, cure in beyond_bricks(scene)]
+
+    (cure,) = advice(spacing, rotation=(40, 10, 70), position=(-2, 1, 0.5))
+    assert advice(spacing) == [cure]
+    better = number(cure, "spacing = ", " or fill")
+    assert 0.3 * spacing < better < spacing
+    assert not advice(better)
+
+
+def test_a_spacing_that_takes_too_many_boxes_to_try_is_not_promised(monkeypatch):
+    monkeypatch.setattr(coarse_meshes, "MOST_TRIED", 100.0)
+    scene = ts.Scene(dim=3)
+    ts.shapes.jelly(scene, mesh=spindle(0.6), spacing=0.08)
+    ((_, cure),) = beyond_bricks(scene)
+    assert cure.startswith("try a spacing below 0.0")

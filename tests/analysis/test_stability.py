@@ -125,12 +125,19 @@ def test_check_names_what_limits_and_what_to_do():
     assert "spring 1 alone makes the step 100 times shorter; is its stiffness, or its ball's mass, meant?" in text
     assert "no limit" not in text
     with simulate(scene, contacts="off", integrator="verlet") as sim:
-        assert "is 0.4 of that, since a longer one lets large motion of undamped springs" in "\n".join(check.lines(sim))
+        text = "\n".join(check.lines(sim))
+        assert "is 0.4 of that, since a longer one lets large motion of undamped springs" in text
+        rows = {row.split()[0]: row.split() for row in text.splitlines() if row.startswith(("verlet ", "rk4 "))}
+    for passes, row in ((1, rows["verlet"]), (4, rows["rk4"])):  # counted by the steps taken, not by the safe ones
+        assert float(row[-1]) == pytest.approx(passes / float(row[-3]), rel=0.01)
+    assert float(rows["verlet"][-3]) == pytest.approx(0.4 * float(rows["verlet"][1]), rel=1e-3)
     twin = ts.Scene(dim=2)
     pairs = twin.add_balls([[0, 0], [1, 0], [0, 3], [1, 3]], radius=0.1).reshape(2, 2)
     twin.add_springs(pairs, stiffness=100.0)
     with simulate(twin, dt=1e-3, contacts="off") as sim:
-        assert "without spring" not in "\n".join(check.lines(sim))
+        text = "\n".join(check.lines(sim))
+    assert "without spring" not in text
+    assert " Hz, is undamped, and this step adds no damping: good" in text
     with simulate(scene, integrator="implicit_euler", contacts="off") as sim:
         text = "\n".join(check.lines(sim))
     assert "any step" in text
@@ -146,7 +153,12 @@ def test_check_names_the_method_that_auto_would_take():
     named = 'integrator = "auto" would take implicit_euler: implicit_euler by steps of 0.0083 s takes an estimated 0.'
     for more, there in (({}, True), ({"integrator": "implicit_euler"}, False), ({"integrator": "auto"}, False)):
         with simulate(scene, contacts="off", **more) as sim:
-            assert any(line.startswith(named) for line in check.lines(sim)) is there
+            lines = list(check.lines(sim))
+        assert any(line.startswith(named) for line in lines) is there
+        for_pictures = lines[-1].endswith(
+            "this step is for pictures; for a number with a known error run `taichi-sim tune`"
+        )
+        assert for_pictures is (more == {"integrator": "auto"})
 
 
 def test_check_of_scenes_without_springs_or_motion():

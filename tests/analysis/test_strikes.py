@@ -10,6 +10,7 @@ from taichi_sim.analysis.accuracy import Setup, impact_step
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, XPBD
 from taichi_sim.analysis.outcome import of_energy
 from taichi_sim.analysis.preflight import cautions
+from taichi_sim.reports import check
 from taichi_sim.simulation.settings import Settings
 
 
@@ -39,6 +40,27 @@ def test_steps_too_long_to_answer_impacts_are_warned_of_with_the_step_that_does(
     assert not impacts(scene, method, step)
     assert not impacts(scene, method, 1 / 150, rule="off")
     assert not impacts(scene, VERLET, 1 / 150)  # whose bound is warned of anyway
+
+
+@pytest.mark.once
+def test_check_advises_the_step_that_it_warns_of():
+    """Of the method in use, and of those that it compares; a step within it, and no contacts, are left to the user."""
+    scene = struck_net()
+    (words,) = impacts(scene, XPBD, 1 / 150)
+    step = words.split("take steps of ")[1].split(" s, or verlet")[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with simulate(scene, integrator="xpbd", dt=1 / 150) as sim:
+            advice = list(check.lines(sim))[-1]
+        with simulate(scene, integrator="verlet") as sim:
+            compared = [line for line in check.lines(sim) if "struck by balls" in line]
+        with simulate(scene, integrator="implicit_euler", dt=1 / 150, contacts="off") as sim:
+            free = list(check.lines(sim))[-1]
+    assert advice.startswith(f"advice                take steps of {step} s at most, or verlet: ")
+    assert len(compared) == 1
+    assert f"xpbd, implicit_euler, tr_bdf2, struck by balls: steps of at most {step}, " in compared[0]
+    assert "struck" not in free
+    assert free.endswith("no spring limits the step; choose it by the accuracy you need")
 
 
 @pytest.mark.once

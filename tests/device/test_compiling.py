@@ -50,10 +50,12 @@ def test_a_scene_is_known_by_what_it_is_compiled_from():
 
 def test_an_estimate_that_has_passed_says_so():
     assert expected("a").words(3.9) == "compiling kernels (about 4 s, less where they are cached)"
-    assert expected("a").words(4.1) == "compiling kernels (longer than the 4 s expected)"
+    assert expected("a").words(4.1) == "compiling kernels (longer than the 4 s expected, and goes on; no new estimate)"
     expected("a").remember(50.0, False)
     assert expected("a").words(19.9) == "loading kernels (about 20 s)"
-    assert expected("a").words(20.1) == "loading kernels (longer than last time, 20 s)"
+    assert (
+        expected("a").words(20.1) == "loading kernels (longer than the 20 s of last time, and goes on; no new estimate)"
+    )
 
 
 def test_estimates_learn_how_fast_the_machine_is():

@@ -340,7 +340,7 @@ def test_summary():
         "; largest speed 4 m/s, ball 0 at 0 s",
         "1 J of it went into friction, as expected",
         "penetration  largest 0.25 m (2.5 of a radius), mean at the end 0.004 m: wrong; take shorter steps",
-        "residual     approach speed left by the contact solver: 0.001 m/s typical, 0.025 m/s worst: good",
+        "residual     approach speed left by the contact solver: 0.001 m/s typical, good; 0.025 m/s worst, which a new impact",
         f"device       cpu, 2 threads, f32, {ENGINE} {VERSION}",
         "per simulated second",
     ):

@@ -96,15 +96,18 @@ def test_tune_finds_the_tension_to_one_percent(tmp_path):
     lines = "\n".join(said).splitlines()
     value = next(line for line in lines if line.startswith("value"))  # no peak, which lies between the times: 10.0 N
     assert re.match(r"value +largest load.tension at 8 sample times up to 0.4 s: 9\.5\d* \+- 0\.0\d+ N \(step\)", value)
-    assert any(line.startswith("allowed      95.1 mN, 1.0 % of it") for line in lines)
+    assert any(line.startswith("allowed      95.1 mN, 1.0 % of the value") for line in lines)
     assert "             not seen: errors between these times" in lines
     peak = next(line for line in lines if line.startswith("peak"))
+    assert lines.index(peak) < lines.index(value)
     low, off = map(
         float,
-        re.match(r"peak +([\d.]+) \+- ([\d.]+) N \(between these times\); `taichi-sim run --error`", peak).groups(),
+        re.match(r"peak +([\d.]+) \+- ([\d.]+) N \(between sample times\); `taichi-sim run --error`", peak).groups(),
     )
     assert low < 10.0 < low + off
-    assert any(re.match(r"found +[\d.]+ mN, 0?[\d.]+ % of it, the largest of 8 sample times", line) for line in lines)
+    assert any(
+        re.match(r"found +[\d.]+ mN, 0?[\d.]+ % of the value, the largest of 8 sample times", line) for line in lines
+    )
     with ts.Simulation(scene, **{**settings, "precision": None}) as sim:
         off = []
         for _ in range(round(0.4 / sim.dt)):

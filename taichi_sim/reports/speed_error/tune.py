@@ -92,18 +92,18 @@ def main(
 def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, tolerance: float) -> Iterator[str]:
     """Lines of the outcome: the value with its error, what error was allowed, what was found, and its cost."""
     off, unit = row.rms_error or 0.0, compared.unit
+    if reference.missed > off:
+        peak = measured(reference.motion, reference.missed, unit, "between sample times")
+        yield f"{'peak':12} {peak}; `taichi-sim run --error` reads it at every frame"
     value = measured(reference.motion, off, unit, "step")
     yield f"{'value':12} {compared.size_in_words(reference.parts)}: {value}"
     if errors := list(left_out(scene)):
         yield not_included(errors)
-    yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of it"
-    found = f"{measured(off, unit=unit)}, {percent(row.relative_error or 0.0)} of it"
+    yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of the value"
+    found = f"{measured(off, unit=unit)}, {percent(row.relative_error or 0.0)} of the value"
     if off <= EXACT * reference.motion:
         found = "0, exact to rounding"
     yield f"{'found':12} {found}, the largest of {reference.parts} sample times"
-    if reference.missed > off:
-        peak = measured(reference.motion, reference.missed, unit, "between these times")
-        yield f"{'peak':12} {peak}; `taichi-sim run --error` reads it at every frame"
     yield f"{'':12} not seen: errors between these times"
     yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
