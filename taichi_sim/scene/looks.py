@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_file
-from taichi_sim.common.errors import SceneError, unknown_key
+from taichi_sim.common.errors import SceneError, path_of, unknown_key
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 from taichi_sim.scene.objects import SceneObject
 
@@ -143,7 +143,7 @@ class Look:
             raise SceneError(where, given, "a table")
         for key in given:
             if key not in known:
-                raise unknown_key((where, key), known, "a key of a look")
+                raise unknown_key((*path_of(where), key), known, "a key of a look")
         given = {key: value for key, value in given.items() if value is not None}
         if "of" not in given:
             raise SceneError(f"{where}.of", says="is missing; give the name of a shape or of a collider")
