@@ -130,6 +130,13 @@ def require_file(path: str | os.PathLike[str]) -> None:
         raise ValueError(f"it is a {kind}, and no file")
 
 
+def not_there(path: str | os.PathLike[str], what: str = "file") -> OSError:
+    """The error about a file that is not there, or in whose place lies something else."""
+    if kind := kind_of(path):
+        return OSError(f"{path}: is a {kind}, and no {what}")
+    return FileNotFoundError(f"{path}: there is no such {what}")
+
+
 def require_name(path: Path) -> None:
     """Raises IsADirectoryError for what can only be a folder: `.`, or the root."""
     if not path.name:

@@ -13,15 +13,17 @@ DOES = "{}: {}; this program makes such a {} itself: remove it, or give another 
 LOCK = "lock"  # the first file that is made in one, and the last that is deleted
 
 
-def require_own(folder: Path, record: str | None = None) -> None:
+def require_own(folder: Path, record: str | None = None, files: re.Pattern[str] | None = None) -> None:
     """Raises OSError, with one sentence, where a link or a file lies in place of the folder, where it holds a link, also
-    a hard one, a pipe or a device, and where it is not empty and has no `record`, the file that says what it is of."""
+    a hard one, a pipe or a device, where a folder lies in place of its lock or of its `files`, and where it is not empty and
+    has no `record`, the file that says what it is of."""
     _require(folder, "folder")
     if not folder.is_dir():
         return
     for entry in folder.iterdir():
         kind = _kind_of(entry)
-        if kind in ("link", "pipe", "device"):
+        is_file = entry.name == LOCK or (files is not None and files.fullmatch(entry.name))
+        if kind in ("link", "pipe", "device") or (is_file and kind == "folder"):
             raise FileExistsError(DOES.format(folder, f"holds {entry.name!r}, which is a {kind}", "folder"))
         if kind == "file" and entry.stat().st_nlink > 1:
             says = f"holds {entry.name!r}, which is also the file of another name"

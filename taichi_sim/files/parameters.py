@@ -64,7 +64,7 @@ def python_scene_with(file: Path, made: Any, parameters: Mapping[str, Any]) -> S
             return changed_scene(saved, rest)
         except SceneError as error:
             error.file, error.line = file, None
-            if takes and error.value is ...:
+            if takes and error.value is ... and error.path in map(path_of, rest):
                 error.says += f"; arguments of scene(): {', '.join(takes)}"
             raise
 

@@ -13,9 +13,11 @@ from types import ModuleType
 from typing import Any
 
 from taichi_sim.analysis.probe_readings import units_of
+from taichi_sim.common.atomic_file import not_there
 from taichi_sim.common.errors import BackendError, SceneError, UnstableError, about, did_you_mean, unknown_key, words_of
 from taichi_sim.common.plain import plain
 from taichi_sim.scene.camera_path import CameraPath, require_depth
+from taichi_sim.scene.looks import Look, Subjects
 from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.scene import Scene
 
@@ -61,7 +63,7 @@ def resolve(name: str) -> Path:
     if name in known:
         return known[name]
     if Path(name).suffix in (".toml", ".py"):
-        raise FileNotFoundError(f"{name}: there is no such file")
+        raise not_there(name)
     hint = did_you_mean(name, known, "`taichi-sim demos` lists the demos")
     raise FileNotFoundError(f"{name}: is neither a file nor a built-in demo; {hint}")
 
@@ -136,6 +138,9 @@ def checked_output(scene: Scene) -> dict[str, Any]:
     if listed.get("camera") is not None:
         with about("scene.output.camera"):
             CameraPath.of(listed["camera"], scene.dim, scene.n_balls)
+    if listed.get("looks") is not None:
+        with about("scene.output.looks"):
+            Look.listed(listed["looks"], Subjects.of_scene(scene), read=False)
     with about("scene.output.aperture"):
         require_depth(listed.get("aperture", 0.0), scene.dim)
     if listed.get("overlay") is not None:

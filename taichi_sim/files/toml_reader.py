@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
-from taichi_sim.common.atomic_file import require_file
+from taichi_sim.common.atomic_file import not_there, require_file
 from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, unknown_key
 from taichi_sim.common.npz import read_npz
 from taichi_sim.files.toml_lines import deepest_line, line_of
@@ -67,11 +67,12 @@ def load_scene(
     shapes are there. A `ts.shapes.Shape` that it returns gets the key `name`, if there is one, as other shapes do.
 
     Raises SceneError with one message that names the file, the line, the key's path (`springs[3].pairs[12]`), the
-    value and what is allowed; FileNotFoundError when there is no such file.
+    value and what is allowed; FileNotFoundError when there is no such file, another OSError
+    for a folder, a pipe or a device.
     """
     file = Path(path)
     if not file.is_file():
-        raise FileNotFoundError(f"{file}: there is no such scene file")
+        raise not_there(file, "scene file")
     return Reader(file, *parsed(file), tables, allow_outside).scene()
 
 
@@ -259,14 +260,13 @@ class Reader:
 
     def _looks(self, scene: Scene) -> None:
         """Check [[output.looks]]; textures lie beside the file."""
-        labels = (one.label for one in scene.colliders)
-        subjects = Subjects.of(scene.dim, scene.objects, scene.triangles, scene.embedded_surfaces, labels)
-        seen: list[Look] = []
+        subjects, seen = Subjects.of_scene(scene), list[Look]()
         for k, look in enumerate(scene.output.get("looks") or ()):
             with self._at("output", "looks", k):
                 if isinstance(look.get("texture"), str):
                     look["texture"] = str(self._beside("texture", look["texture"]))
                 seen.append(Look.of_table(f"looks[{k}]", look, subjects, seen))
+                seen[k].sizes(f"looks[{k}]")
 
     # Parts of a table ----------------------------------------------------------------------------------------------
 

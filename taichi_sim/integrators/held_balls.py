@@ -8,10 +8,10 @@ finds it, as any other load, and bears it.
 
 Friction that followed the stage would strain elements after they were solved for, which gives energy. So it acts in the stage
 too, as a drag: -d m u at the slip u, d = b / |u|. Surfaces that push with impulses N allow m b = sum mu N. The slip is that of
-the way since the start of the step, so that friction does no work on what moves past a surface. Each
-surface drags at the slip past it; together they drag as one that moves with their mean, weighted by their drags. Both
-b and u are those of the solution before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact),
-but for its direction, which is implicit.
+the way since the start of the step, so that friction does no work on what moves past a surface. Each surface drags at the slip
+past it; together they drag as one that moves with their mean, weighted by their drags. Both b and u are those of the solution
+before it, see `renew`: the lagged friction of Li et al. (2020, Incremental Potential Contact), but for its direction, which is
+implicit.
 """
 
 from typing import Any
@@ -44,11 +44,12 @@ class HeldBalls:
     Fields: `normals` (n): the projection on the directions along which a ball is held, 0 of most; `reaction` (n) [m/s]: what the
     solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
     surface k: whether it `holds`, the `target` of the speed away from it, -FAR_GAP where the ball cannot reach it, and its
-    `push` [m/s] and `drag` in this solution. `friction`: the `most` that it can change a velocity by [m/s], and all `drag`.
-    `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before
-    the stage begins, over the length of this, and `span`, the time from the start of the step to the end of the stage, over the
-    same; `carried`, the velocity with which it ends the stage if its surfaces carry it; `rubbed`, what friction changed in the
-    last stage, and `kept`, the part of that in this one.
+    `push` [m/s] and `drag` in this solution. `friction`: the `most` that it can change a velocity by [m/s], the part of that
+    which comes from the stage `before`, all `drag`, and the change of velocity that is `wrong` in it [m/s]. `last_most`: the most
+    in each stage of the step before. Of each ball [m/s]: `moved`, its way before the stage begins, over the length of this, and
+    `span`, the time from the start of the step to the end of the stage, over the same; `carried`, the velocity with
+    which it ends the stage if its surfaces carry it; `rubbed`, what friction changed in the last stage, and `kept`, the part of
+    that in this one.
     """
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
@@ -303,7 +304,8 @@ class HeldBalls:
 
     @ti.func
     def _expect_friction(self, i, v, stage):
-        """Expect as much friction on ball i, at the velocity v, as in this stage of the step before; none if nothing holds it."""
+        """Expect as much friction on ball i, at the velocity v, as in this stage of the step before, shared
+        alike by the surfaces that hold it; none if nothing holds it."""
         self.friction[i].most = ti.select(self.holds(i), self.last_most[stage * self.model.n + i], 0.0)
         carries, before = self.carries[stage], ti.max(0, stage - 1) * self.model.n + i
         self.friction[i].before = carries * self.last_most[before]
@@ -448,7 +450,7 @@ class HeldBalls:
 
     @ti.func
     def _stays_at(self, i, k):
-        """True if surface k pushes ball i in the stage, with friction, and not when it moves, in a bounce."""
+        """True if surface k pushes ball i in the stage, and not only when the ball moves, in a bounce."""
         c, yes = i * self.walls.count + k, False
         if self.contact[c].holds == 1 and self.contact[c].push > 0.0:
             yes = self.walls.contact[c].role == RESTING or self.walls.law(i, k).restitution == 0.0

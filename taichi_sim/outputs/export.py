@@ -25,6 +25,7 @@ from taichi_sim.outputs.frame_log import CHECKPOINT, Checkpoint
 from taichi_sim.outputs.kept_files import judged
 from taichi_sim.outputs.observer import Observer
 from taichi_sim.outputs.summary import Summary
+from taichi_sim.scene.looks import Look, Subjects
 
 __all__ = ["export"]
 
@@ -52,7 +53,7 @@ def export(
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
         error: run the scene a second time at half the step, and give what is read with the error of step and rounding.
-        watch: called with each frame that is simulated, like `LiveView.show`.
+        watch: called with each frame that is simulated, like `LiveView.show`. `simulation.reset` is refused there.
     Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
@@ -77,6 +78,7 @@ def export(
     outputs = [one for one in outputs if one not in finished]
     clock, style = _Clock(Summary()), style or {}
     with ExitStack() as stack:
+        stack.enter_context(simulation.exported())
         writers = [_Writer(one, stack) for one in outputs]
         require_alpha(outputs, style)
         is_drawn = any(one.needs_image for one in outputs)
@@ -84,6 +86,8 @@ def export(
         bar = _Frames(count)
         stack.enter_context(showing(bar, progress))
         first = simulation.frame()
+        if style.get("looks") is not None:
+            Look.listed(style["looks"], Subjects.of_scene(simulation.scene), read=False)
         drawn_last = is_drawn and whole_run.is_drawn_last(simulation.scene, count, style)
         for one in outputs:
             if one.fps is None:

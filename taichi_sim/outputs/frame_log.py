@@ -71,7 +71,7 @@ class FrameLog:
         self.waits = False  # whether no picture is drawn before all is simulated
         self._lock: IO[bytes] | None = None
         self._is_left = False
-        require_own(self.folder, ABOUT)
+        require_own(self.folder, ABOUT, OURS)
         self.resumes = resume and (self.folder / ABOUT).is_file()
         if self.resumes:
             self._take()
@@ -227,7 +227,7 @@ class FrameLog:
             raise ValueError(f"{self.output}: was finished or discarded, and takes no more frames; open it anew")
         if not self.resumes:
             self.folder.mkdir(exist_ok=True)
-            require_own(self.folder, ABOUT)
+            require_own(self.folder, ABOUT, OURS)
             self._take()
             try:
                 self._empty()

@@ -59,7 +59,7 @@ class Renderer:
         subdivide: int = 0,
         crease: float = CREASE,
         stage: str = "day",
-        looks: Sequence[Mapping[str, Any]] = (),
+        looks: Sequence[Mapping[str, Any]] | None = None,
         shutter: float = 0.0,
         aperture: float = 0.0,
         exposures: int = EXPOSURES,
@@ -79,9 +79,7 @@ class Renderer:
         known = getattr(frame, "scene", frame).triangles  # those, too, that have torn
         labels = (placed.collider.label for placed in frame.colliders)
         subjects = Subjects.of(frame.dim, frame.objects, known, frame.embedded_surfaces, labels)
-        styles: list[Look] = []
-        for k, one in enumerate(looks):
-            styles.append(Look.of_table(f"looks[{k}]", one, subjects, styles))
+        styles = Look.listed(looks, subjects)
         backend.start()
         self.size = (width, height)
         self._painter: Any

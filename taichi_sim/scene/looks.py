@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os import PathLike
 from pathlib import Path
+from types import NoneType
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import require_file
-from taichi_sim.common.errors import SceneError, unknown_key
+from taichi_sim.common.errors import SceneError, path_of, unknown_key
 from taichi_sim.scene.embedded_surfaces import EmbeddedSurface
 from taichi_sim.scene.objects import SceneObject
 
@@ -75,6 +76,12 @@ class Subjects(NamedTuple):
         bare = [one.name for one in objects if one.name not in shapes]
         return cls(dim, shapes, sheets, bare, [label for label in colliders if label])
 
+    @classmethod
+    def of_scene(cls, scene: Any) -> Subjects:
+        """Subjects of a Scene."""
+        labels = (one.label for one in scene.colliders)
+        return cls.of(scene.dim, scene.objects, scene.triangles, scene.embedded_surfaces, labels)
+
 
 @dataclass(frozen=True, slots=True)
 class Look:
@@ -107,6 +114,19 @@ class Look:
     opacity: float = 1.0
 
     @classmethod
+    def listed(cls, given: Any, subjects: Subjects, read: bool = True) -> list[Look]:
+        """Make the looks of the tables of [[output.looks]], none of None. read: True if their images are read, too. Raises
+        SceneError that names `looks`, the number of the table, the key and the value."""
+        if not isinstance(given, (list, tuple, NoneType)):
+            raise SceneError("looks", given, "a list of tables")
+        looks: list[Look] = []
+        for k, table in enumerate(given or ()):
+            looks.append(cls.of_table(f"looks[{k}]", table, subjects, looks))
+            if read:
+                looks[k].sizes(f"looks[{k}]")
+        return looks
+
+    @classmethod
     def of_table(
         cls,
         where: str,
@@ -123,16 +143,17 @@ class Look:
             raise SceneError(where, given, "a table")
         for key in given:
             if key not in known:
-                raise unknown_key((where, key), known, "a key of a look")
+                raise unknown_key((*path_of(where), key), known, "a key of a look")
+        given = {key: value for key, value in given.items() if value is not None}
         if "of" not in given:
             raise SceneError(f"{where}.of", says="is missing; give the name of a shape or of a collider")
         look = cls(**given)
-        if look.of in subjects.bare:
-            says = "has no surface; a look is for cloth, jelly, meshes and colliders, not for balls and springs"
-            raise SceneError(f"{where}.of", look.of, says=says)
         colliders = subjects.colliders
         names = sorted({*subjects.shapes, *colliders})
-        if look.of not in names:
+        if not isinstance(look.of, str) or look.of not in names:
+            if isinstance(look.of, str) and look.of in subjects.bare:
+                says = "has no surface; a look is for cloth, jelly, meshes and colliders, not for balls and springs"
+                raise SceneError(f"{where}.of", look.of, says=says)
             raise SceneError(
                 f"{where}.of", look.of, f"the name of a shape or of a collider: {', '.join(names) or 'none has one'}"
             )
@@ -168,9 +189,7 @@ class Look:
             raise SceneError(
                 f"{where}.repeat", look.repeat, says="is of a pattern or a texture; give one, or leave it out"
             )
-        checked = cls(look.of, look.pattern, colour, look.texture, repeat, **shares)
-        checked.sizes(where)
-        return checked
+        return cls(look.of, look.pattern, colour, look.texture, repeat, **shares)
 
     def sizes(self, where: str = "looks") -> list[NDArray[np.uint8]]:
         """The image (height, width, 3) of the texture, at most 1024 pixels wide and high, and smaller ones, each half as large as

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from copy import copy
 from dataclasses import asdict, replace
 from functools import partial
+from importlib import import_module
 from os import PathLike
 from typing import Any
 
@@ -566,8 +567,11 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             refuse(name)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the scene as TOML; large arrays go to an .npz beside it. Raises SceneError without a ball."""
-        save_scene(self, path)
+        """Write the scene as TOML; large arrays go to an .npz beside it. Raises SceneError without a ball, and for what
+        `output` may not hold."""
+        save_scene(
+            self, path, import_module("taichi_sim.files.source").checked_output(self)
+        )  # by name: an outer room's
 
     def __repr__(self) -> str:
         return f"<{in_words(self)}>"

@@ -2,7 +2,7 @@
 
 import inspect
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,11 @@ __all__ = ["save_scene"]
 MOST_INLINE = 200  # numbers; a longer array goes to the .npz
 
 
-def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
+def save_scene(scene: Any, path: str | os.PathLike[str], output: Mapping[str, Any]) -> None:
     """Write a scene file; arrays of more than 200 numbers go to `<stem>_arrays.npz` beside it. Each is replaced whole.
 
-    Springs and triangles are written as they are, not as the shapes that made them, textures in its folder by their place
-    there. Raises OSError where the file cannot be written, SceneError without a ball.
+    output: the table [output], checked. Springs and triangles are written as they are, not as the shapes that made them,
+    textures in its folder by their place there. Raises OSError where the file cannot be written, SceneError without a ball.
     """
     import tomli_w
 
@@ -34,7 +34,7 @@ def save_scene(scene: Any, path: str | os.PathLike[str]) -> None:
     if not scene.n_balls:
         raise SceneError("balls", says="holds no ball; a scene file needs at least one")
     arrays_file = file.with_name(file.stem + "_arrays.npz")  # not x.npz, which `run -o` may be asked to write
-    document, long = _document(saved(scene), arrays_file.name)
+    document, long = _document(saved(scene), output, arrays_file.name)
     for look in document.get("output", {}).get("looks") or ():
         if "texture" in look:
             look["texture"] = _from(file, look["texture"])
@@ -52,10 +52,10 @@ def _from(file: Path, name: str) -> str:
     return place.relative_to(folder).as_posix() if place.is_relative_to(folder) else name
 
 
-def _document(scene: Any, arrays_file: str) -> tuple[dict[str, Any], dict[str, NDArray]]:
+def _document(scene: Any, output: Mapping[str, Any], arrays_file: str) -> tuple[dict[str, Any], dict[str, NDArray]]:
     """Contents of the file, and the arrays that go to the .npz of this name."""
     document: dict[str, Any] = {"format": 1, "dim": scene.dim, "gravity": scene.gravity.tolist()}
-    document |= {"simulation": _plain(scene.settings), "output": _plain(scene.output)}
+    document |= {"simulation": _plain(scene.settings), "output": _plain(output)}
     arrays: dict[str, NDArray] = {}
     for part in PARTS:
         tables = []

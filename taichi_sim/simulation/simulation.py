@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
 from io import BytesIO
@@ -120,7 +121,7 @@ class Simulation(Reader):
         self._stepper = Stepper(scene, s, parts, self.dt, substeps, self._stability, self.has_custom_parts)
         for caution in cautions(scene, parts.setup):
             warn(caution)
-        self._closed = False
+        self._closed = self._exported = False
         self._still = scene.n_balls == 0
         self._moments = MomentsOf(scene)
         self.settled: Settled | None = None
@@ -206,7 +207,7 @@ class Simulation(Reader):
         """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its
         time.
 
-        Steps made between two frames count towards the next one.
+        Steps made between two frames count towards the next one. Raises SceneError after a `reset` between two.
         """
         rate = validation.number("fps", fps, positive=True)
         count = frame_count(1.0, min(rate * validation.number("duration", duration, low=0), 2.0 * MOST_FRAMES))
@@ -216,10 +217,14 @@ class Simulation(Reader):
             )
         if rate * self.dt > 1.0 + 1e-9:
             warn(f"dt = {self.dt:.6g} s is longer than a frame, 1/{rate:g} s: some frames repeat")
-        start = self._stepper.steps
+        start, begun = self._stepper.steps, self._moments
         for k in range(count):
             self.step(max(0, start + round(k / rate / self.dt) - self._stepper.steps))
             yield self.frame()
+            if self._moments is not begun:
+                raise SceneError(
+                    "frames", says="end here, where reset(scene) began another run; ask for its frames anew"
+                )
 
     def settle(self, tolerance: float = 1e-3, longest: float = 120.0) -> Settled:
         """Bring the scene to rest without moving the clock, see `taichi_sim.simulation.settling`. Velocities are 0 then.
@@ -368,6 +373,15 @@ class Simulation(Reader):
         """The parts that were compiled for this scene; what it lacks is not among them."""
         return self.parts.names()
 
+    @contextmanager
+    def exported(self) -> Iterator[None]:
+        """Refuse `reset` in the block: an export has frames of one scene."""
+        before, self._exported = self._exported, True
+        try:
+            yield
+        finally:
+            self._exported = before
+
     # Another scene -------------------------------------------------------------------------------------------------
 
     def reset(self, scene: Scene) -> None:
@@ -377,9 +391,12 @@ class Simulation(Reader):
         velocities, masses, radii, stiffnesses, materials, walls, gravity, the step. Other kernels are needed where the number of
         balls or springs differs, or which balls these join, or whether there is friction or gravity at all: then they
         are compiled. On a device the first reset of a process may take some seconds: it compiles, or loads, what empties the
-        memory. Raises what a new Simulation does, and leaves this one as it is; where settling fails, which takes that memory,
-        this one is closed.
+        memory. Raises what a new Simulation does, and leaves this one as it is, or closes it if the error comes after the new
+        scene took its memory, as where settling fails. Raises SceneError during an export of it.
         """
+        if self._exported:
+            says = "cannot be called in an export, whose frames are of one scene; call it when the export has ended"
+            raise SceneError("reset", says=says)
         on = self.parts
         other = object.__new__(type(self))
         try:

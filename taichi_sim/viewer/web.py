@@ -57,24 +57,28 @@ class LiveView:
         self._begin = 0.0
 
     def wait(self, simulation: Any, pictures: bool = False) -> None:
-        """Show a simulation as it is now, and tell how long its kernels take, until `show` gets a later frame.
+        """Show a simulation as it is now, and tell how long its kernels take, until `show` gets a frame of another time.
+        May be called again, as before another run.
 
         pictures: True if pictures of it are drawn, whose kernels take time, too.
         """
+        self._waiting.close()
+        if self._begin > 0.0:  # the words of an earlier wait are gone
+            self._words, self._begin = self._server.viser.gui.add_markdown(""), 0.0
         frame = simulation.frame()
-        self._show(frame)
         self._waits_at = frame.time
+        self.show(frame)
         self._waiting.enter_context(_telling(self._words, Expected.of(simulation, pictures).words))
 
     def show(self, frame: Frame) -> None:
-        """Show a frame, unless that would take too much of the time; the first one always. Frames are of one scene."""
-        if frame.time == self._waits_at:  # more kernels follow
-            return
+        """Show a frame, unless that would take too much of the time; always those up to the first one at another time than
+        `wait` showed. Frames are of one scene."""
         if self._begin == 0.0:
-            self._waiting.close()
-            self._words.remove()
             self._share = Share(MOST_FPS, PART)  # the wait is not charged to the run
-            self._begin = time.perf_counter()
+            if frame.time != self._waits_at:  # else more kernels follow
+                self._waiting.close()
+                self._words.remove()
+                self._begin = time.perf_counter()
         self._show(frame)
 
     def _show(self, frame: Frame) -> None:

@@ -327,6 +327,7 @@ REFUSED = [
     (("run",), "Missing argument 'SCENE'"),
     (("run", "ball.toml", "--fast"), "No such option: --fast"),
     (("run", "none.toml"), "none.toml: there is no such file"),
+    (("check", "shapes.toml"), "shapes.toml: is a folder, and no file"),
     (("run", "no_such_demo"), "no_such_demo: is neither a file nor a built-in demo"),
     (("run", "words.txt"), "'.txt' is not allowed; a scene is a .toml or a .py file"),
     (("run", "bad.toml"), "bad.toml, line 9: balls[0].mass: -1.0 is not allowed; it must be greater than 0"),
@@ -439,6 +440,7 @@ def write_bad_files(folder: Path) -> None:
     )
     (folder / "pxr.py").write_text("raise ImportError")  # as if it were not installed
     (folder / "full").mkdir()
+    (folder / "shapes.toml").mkdir()
     (folder / "full" / "notes.txt").write_text("mine")
 
 

@@ -275,8 +275,9 @@ def test_numbers_of_numpy_in_the_output_are_plain_everywhere(tmp_path):
 
 def test_paths_in_the_output_are_texts(tmp_path):
     scene = ts.Scene(dim=3)
-    scene.set_name(scene.add_balls([[0, 0, 0]], radius=0.1), "ball")
-    scene.output = {"looks": [{"of": "ball", "texture": tmp_path / "wood.png"}], "camera": {"azimuth": np.float32(30)}}
+    scene.add_balls([[0, 0, 0]], radius=0.1)
+    scene.add_collider(ts.Sphere(center=(0, -1, 0), radius=0.5, name="globe"))
+    scene.output = {"looks": [{"of": "globe", "texture": tmp_path / "wood.png"}], "camera": {"azimuth": np.float32(30)}}
     with ts.Simulation(scene) as sim:
         sim.save(tmp_path / "state.npz")
     with ts.Simulation.restore(tmp_path / "state.npz") as sim:

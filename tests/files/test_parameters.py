@@ -123,6 +123,12 @@ def test_a_path_that_leads_nowhere_is_named(files, name, path, why):
         open_scene(files / name, parameters={path: 1.0})
 
 
+def test_only_a_path_that_leads_nowhere_brings_up_arguments(files):
+    """A value may be wrong where scene() has nothing to do with it."""
+    with pytest.raises(SceneError, match=r"p\.py: .*looks\[0\]: is for 3D; in 2D give `colour`, or a `stage`$"):
+        open_scene(files / "p.py", parameters={"output.looks": [{"of": "one"}]})
+
+
 @pytest.mark.parametrize(
     ("name", "path", "value", "why"),
     [

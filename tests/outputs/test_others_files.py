@@ -71,6 +71,16 @@ def test_a_folder_of_somebody_else_in_place_of_what_is_kept(tmp_path, precious, 
         (tmp_path / name / ".resume" if name.endswith("/") else tmp_path / f".{name}.resume").rename(precious)
 
 
+@pytest.mark.parametrize("name", ["lock", "pictures", "checkpoint.json"])
+def test_a_folder_in_place_of_a_file_that_is_kept(tmp_path, name):
+    cut_off(tmp_path, "y.gif")
+    inside = tmp_path / ".y.gif.resume" / name
+    inside.unlink(missing_ok=True)
+    inside.mkdir()
+    with pytest.raises(OSError, match=rf"\.resume: holds {name!r}, which is a folder; .* remove it"):
+        open_output(tmp_path / "y.gif")
+
+
 def test_a_file_in_place_of_what_is_kept(tmp_path):
     (tmp_path / ".x.csv.resume").write_text("mine")
     with pytest.raises(OSError, match=r"\.resume: is a file; .* remove it"):

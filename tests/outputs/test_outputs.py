@@ -5,6 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -46,6 +47,9 @@ class FakeSimulation:
 
     def kernels(self) -> list[str]:
         return []
+
+    def exported(self) -> AbstractContextManager:
+        return nullcontext()
 
     def frames(self, fps: float, duration: float) -> Iterator[Frame]:
         for k in range(round(fps * duration) + 1):

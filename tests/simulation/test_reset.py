@@ -287,3 +287,37 @@ def test_user_defined_parts_are_compiled_each_time():
 def test_an_engine_whose_kernels_are_not_shared_compiles_them(monkeypatch):
     monkeypatch.setattr("taichi_sim.device.shared_kernels.IS_KNOWN", False)
     assert same_as_new(row, {"amplitude": -0.3}, contacts="off") == [False]
+
+
+def flock(n: int) -> ts.Scene:
+    scene = ts.Scene(dim=2, gravity=(0.0, -3.0))
+    scene.add_balls([[0.4 * k, 0.0] for k in range(n)], radius=0.1)
+    return scene
+
+
+@pytest.mark.parametrize("at", [1, 4])
+def test_frames_end_where_a_reset_begins_another_run(at):
+    """Also after the last one, and for the very scene that it has."""
+    with ts.Simulation(flock(2), contacts="off", dt=0.05, **CPU) as sim:
+        seen = []
+
+        def look_and_reset() -> None:
+            for frame in sim.frames(fps=4.0, duration=1.0):
+                seen.append(frame.time)
+                if len(seen) == at + 1:
+                    sim.reset(sim.scene)
+
+        with pytest.raises(ts.SceneError, match=r"^frames: end here, where reset\(scene\) began another run"):
+            look_and_reset()
+        assert seen == pytest.approx([0.25 * k for k in range(at + 1)])
+        assert [frame.time for frame in sim.frames(fps=2.0, duration=0.5)] == [0.0, 0.5]
+
+
+def test_a_reset_is_refused_in_an_export(tmp_path):
+    with ts.Simulation(flock(2), contacts="off", dt=0.05, **CPU) as sim:
+        output = ts.open_output(tmp_path / "a.csv")
+        with pytest.raises(ts.SceneError, match=r"^reset: cannot be called in an export"):
+            ts.export(sim, output, fps=4, duration=1, checkpoint=1e-9, watch=lambda _: sim.reset(flock(2)))
+        assert not list(tmp_path.iterdir())
+        sim.reset(flock(2))
+        assert ts.export(sim, None, fps=4, duration=1).frames == 5

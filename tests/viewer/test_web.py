@@ -499,6 +499,26 @@ def test_a_page_shows_the_scene_and_how_long_to_wait_before_any_kernel_is_there(
         assert "GuiRemoveMessage" in page.kinds
 
 
+def test_a_view_waits_again_and_shows_every_frame_until_another_time():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [0.7, 0.2]], radius=0.1)
+
+    with ts.LiveView(port=0) as view, Page(view.url) as page, ts.Simulation(scene, contacts="off", arch="cpu") as sim:
+        page.until(lambda: view._server.watched)
+        for _ in range(2):
+            view.wait(sim)
+            view.wait(sim)  # a second time before any frame
+            page.until(lambda: any("have passed" in str(one.get("_markdown", "")) for one in page.parts.values()))
+            drawn = page.parts["/balls"]["updates"]
+            sim.set_position(sim.position + 0.1)  # at the time at which it waits
+            view.show(sim.frame())
+            page.until(lambda drawn=drawn: page.parts["/balls"]["updates"] > drawn)
+            assert view._begin == 0.0
+            sim.step(1)
+            view.show(sim.frame())
+            assert view._begin > 0.0
+
+
 @pytest.mark.parametrize(("error", "says"), [
     (None, "The run has ended."),
     (KeyboardInterrupt(), "It was stopped by Ctrl-C."),
