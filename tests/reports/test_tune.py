@@ -80,7 +80,10 @@ def test_check_knows_what_an_undamped_spring_allows():
         (1.5, f"above the bound of {safe:.4g} s may blow up; take {0.4 * safe:.4g} s"),
     ):
         settings = SimpleNamespace(integrator=SimpleNamespace(method=VERLET))
-        sim = SimpleNamespace(scene=scene, dt=part * safe, substeps=1, settings=settings, force_rates=Declared())
+        setup = SimpleNamespace(rule="off")
+        sim = SimpleNamespace(
+            scene=scene, dt=part * safe, substeps=1, settings=settings, setup=setup, force_rates=Declared()
+        )
         assert words in check._advice(sim, stability(scene, VERLET), 0.0)
 
 
