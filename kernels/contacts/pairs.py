@@ -22,11 +22,11 @@ BITS_OF_ONE = 0x3F800000  # the bits of 1.0
 
 @ti.func
 def may_touch(pairs: ti.template(), i, j):
-    """True if two balls collide at all: not both pinned, of one body, joined by a spring, or of groups that do not."""
+    """True if two balls collide at all: not both pinned, of one body, joined by a spring or element, or of groups apart."""
     allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0 and may_meet(pairs, i, j)
-    if ti.static(pairs.has_springs):
-        for e in range(pairs.spring_start[i], pairs.spring_start[i + 1]):
-            allowed = allowed and pairs.spring_other[e] != j
+    if ti.static(pairs.has_joined):
+        for e in range(pairs.joined_start[i], pairs.joined_start[i + 1]):
+            allowed = allowed and pairs.joined_other[e] != j
     return allowed
 
 

@@ -288,13 +288,13 @@ def is_upper(k, kind):
 
 @ti.func
 def joined(triangles: ti.template(), b, kind):
-    """True if a spring joins the two sides of a pair: at rest they may be nearer to each other than they are thick."""
+    """True if a spring or element joins the two sides of a pair: at rest they may be nearer than they are thick."""
     yes = False
-    if ti.static(triangles.pairs.has_springs):
+    if ti.static(triangles.pairs.has_joined):
         for k in range(ti.select(kind == BALL_TRIANGLE, 1, 2)):
             i = ti.select(k == 0, b[0], b[1])
-            for e in range(triangles.pairs.spring_start[i], triangles.pairs.spring_start[i + 1]):
-                j = triangles.pairs.spring_other[e]
+            for e in range(triangles.pairs.joined_start[i], triangles.pairs.joined_start[i + 1]):
+                j = triangles.pairs.joined_other[e]
                 yes = yes or j == b[2] or j == b[3] or (kind == BALL_TRIANGLE and j == b[1])
     return yes
 

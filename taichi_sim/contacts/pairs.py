@@ -90,10 +90,10 @@ class Pairs:
         self.has_bodies = bool(np.any(scene.body > 0))
         if self.has_bodies:
             self.body = fields.integers(scene.body)  # of each ball, 0: none
-        self.has_springs = scene.n_springs > 0 or any(map(len, (scene.membranes, scene.solids, scene.bricks)))
-        if self.has_springs:
-            start, other = model.joined()
-            self.spring_start, self.spring_other = fields.integers(start), fields.integers(other)
+        start, other = model.joined()
+        self.has_joined = len(other) > 0
+        if self.has_joined:
+            self.joined_start, self.joined_other = fields.integers(start), fields.integers(other)
 
     def names(self) -> list[str]:
         """Names of the parts that are compiled in, for `Simulation.kernels()`."""

@@ -115,8 +115,8 @@ class RunChecks:
         return self.fastest * self.run.h > self._rush
 
     def contact_statistics(self) -> NDArray[np.float64]:
-        """Statistics of all contacts, see kernels.contacts.statistics. Warns once, where steps have
-        brought balls deep into something."""
+        """Statistics of all contacts, see kernels.contacts.statistics. Warns once, where steps have brought balls deep into
+        something."""
         totals = self.run.parts.contact_statistics()
         part = float(totals[statistics.LARGEST_PART])
         if part > DEEP and (self.run.moved or self.run.time == 0.0):

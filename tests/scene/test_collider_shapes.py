@@ -71,18 +71,12 @@ def test_the_grid_of_a_mesh_holds_the_exact_distances():
     assert p.min() < -0.75
 
 
-def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
-    """A spiky cup whose wall is thin, and apart from it a cube with a cubic hole, of which the surface of either part is given
-    the wrong way around or not: solid where its windings say so, as the plain distance has it. So do the lists of cells, which
-    hold all triangles that count in them: those of whole cells, and of eighths."""
-    from taichi_sim.kernels.contacts.colliders import CUT
-    from taichi_sim.kernels.contacts.triangle_tree import distance_by_list, signed_distance
+def by_tree(tree, p):
+    """Signed distances (n) of places p (n, 3) from a mesh, and directions (n, 3) from it, by the tables of its tree."""
+    from taichi_sim.kernels.contacts.triangle_tree import signed_distance
 
-    from taichi_sim.contacts.distance_grid import distance_grid
-    from taichi_sim.device import backend
     from taichi_sim.device.engine import ti
 
-    backend.start(arch="cpu", precision=PRECISION)
     real = np.float32 if PRECISION == "f32" else np.float64
 
     @ti.kernel
@@ -92,9 +86,33 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         triangle: ti.types.ndarray(),
         p: ti.types.ndarray(),
         d: ti.types.ndarray(),
+        n: ti.types.ndarray(),
     ):
         for i in range(p.shape[0]):
-            d[i], _, _ = signed_distance(box, link, triangle, 0, link[0], 0, ti.Vector([p[i, 0], p[i, 1], p[i, 2]]))
+            at = ti.Vector([p[i, 0], p[i, 1], p[i, 2]])
+            d[i], way, _ = signed_distance(box, link, triangle, 0, link[0], 0, at)
+            for a in ti.static(range(3)):
+                n[i, a] = way[a]
+
+    tables = [np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real))]
+    d, n = np.zeros(len(p), dtype=real), np.zeros((len(p), 3), dtype=real)
+    measure(*tables, np.ascontiguousarray(p, dtype=real), d, n)
+    return d, n
+
+
+def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
+    """A spiky cup whose wall is thin, and apart from it a cube with a cubic hole, of which the surface of either part is given
+    the wrong way around or not: solid where its windings say so, as the plain distance has it. So do the lists of cells, which
+    hold all triangles that count in them: those of whole cells, and of eighths."""
+    from taichi_sim.kernels.contacts.colliders import CUT
+    from taichi_sim.kernels.contacts.triangle_tree import distance_by_list
+
+    from taichi_sim.contacts.distance_grid import distance_grid
+    from taichi_sim.device import backend
+    from taichi_sim.device.engine import ti
+
+    backend.start(arch="cpu", precision=PRECISION)
+    real = np.float32 if PRECISION == "f32" else np.float64
 
     @ti.kernel
     def measure_in_cells(
@@ -125,11 +143,8 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         parts = [*walls, CUBE[1][:, turned] + 84, CUBE[1][:, ::-1][:, turned] + 92]
         mesh = collider(ts.Mesh((vertices, np.concatenate(parts)), resolution=32), 3)
         grid = distance_grid(mesh, 0.1, 0.1)
-        tree = grid.tree
         p = rng.uniform([-0.8, -0.2, -0.8], [2.7, 0.9, 0.8], (1500, 3))
-        d = np.zeros(len(p), dtype=real)
-        tables = [np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real))]
-        measure(*tables, np.ascontiguousarray(p, dtype=real), d)
+        d, _ = by_tree(grid.tree, p)
         expected = mesh.distance(p, 0.0)
         assert np.sum(expected < 0) > 100
         assert d == pytest.approx(expected, abs=1e-12 if PRECISION == "f64" else 1e-6)
@@ -150,7 +165,7 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         assert len(listed) > 200
         few = np.zeros(len(listed), dtype=real)
         measure_in_cells(
-            tables[2],
+            np.ascontiguousarray(grid.tree[2].ravel(), real),
             grid.listed,
             grid.away.astype(real),
             row,
@@ -163,41 +178,21 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
 
 def test_directions_close_to_a_large_triangle_are_its_normal():
     """To the rounding of a unit vector; the way to a place so close, by which they were taken, is rounded as its coordinates."""
-    from taichi_sim.kernels.contacts.triangle_tree import signed_distance
-
     from taichi_sim.contacts.distance_grid import distance_grid
     from taichi_sim.device import backend
-    from taichi_sim.device.engine import ti
 
     backend.start(arch="cpu", precision=PRECISION)
     real = np.float32 if PRECISION == "f32" else np.float64
 
-    @ti.kernel
-    def measure(
-        box: ti.types.ndarray(),
-        link: ti.types.ndarray(ti.i32, 1),
-        triangle: ti.types.ndarray(),
-        p: ti.types.ndarray(),
-        found: ti.types.ndarray(),
-    ):
-        for i in range(p.shape[0]):
-            d, n, _ = signed_distance(box, link, triangle, 0, link[0], 0, ti.Vector([p[i, 0], p[i, 1], p[i, 2]]))
-            for a in ti.static(range(3)):
-                found[i, a] = n[a]
-            found[i, 3] = d
-
     turn, rng = turn_matrix(np.array([[0.4, -0.3, 0.7]]))[0], np.random.default_rng(5)
     mesh = collider(ts.Mesh((24.0 * CUBE[0] @ turn.T, CUBE[1]), resolution=8), 3)
-    tree = distance_grid(mesh, 0.1, 0.1).tree
-    tables = [np.ascontiguousarray(a.ravel(), t) for a, t in zip(tree[:3], (real, np.int32, real))]
     p = rng.uniform(-11.0, 11.0, (60, 3))
     d = rng.choice([-0.03, 0.02, 0.3], 60)
     p[:, 1] = 12.0 + d
-    found = np.zeros((60, 4), dtype=real)
-    measure(*tables, np.ascontiguousarray(p @ turn.T, dtype=real), found)
+    distance, direction = by_tree(distance_grid(mesh, 0.1, 0.1).tree, p @ turn.T)
     eps = np.finfo(real).eps
-    assert np.abs(found[:, :3] - turn[:, 1]).max() < 2 * eps
-    assert np.abs(found[:, 3] - d).max() < 2 * 24.0 * eps
+    assert np.abs(direction - turn[:, 1]).max() < 2 * eps
+    assert np.abs(distance - d).max() < 2 * 24.0 * eps
 
 
 def test_turns_of_any_size():

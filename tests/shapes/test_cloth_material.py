@@ -206,7 +206,7 @@ def test_nothing_crosses_an_edge_folded_onto_itself(fold):
 
 @pytest.mark.parametrize("fold", [3e-5, 9e-5])
 def test_a_fold_that_counts_as_flat_bends_as_a_flat_one_beside_a_large_triangle(fold):
-    """What is far off leaves the plane of a small triangle by more than the fold: no reason to measure no bending."""
+    """A slight fold lifts distant vertices far off the plane of a small triangle, whose edges bend all the same."""
     x = np.array([[0, 0, 0], [0.3, 0, 0], [0.1, 0, -0.1], [0.2, 0, 3.0], [3.5, 0, 3.0]])
     triangles = np.array([[0, 1, 2], [1, 0, 3], [1, 3, 4]], dtype=np.int32)
     flat = mesh_bends(Surface(x, triangles), RIGIDITY)[0]

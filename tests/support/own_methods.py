@@ -20,14 +20,14 @@ class Silent(ts.Integrator):
 
 @ti.data_oriented
 class Declared(Silent):
-    """The same, with its limit."""
+    """Symplectic Euler without contacts, and its limit."""
 
     method = ts.Method("declared", order=1, symplectic=True, limit=ts.StabilityLimit(undamped=2.0, damped=2.0))
 
 
 @ti.data_oriented
 class Advancing(Silent):
-    """The same, with contacts."""
+    """Symplectic Euler with contacts."""
 
     method = ts.Method("advancing", order=1)
 
