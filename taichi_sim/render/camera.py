@@ -35,6 +35,8 @@ STAYING = 0.9  # part of loose balls that is always shown
 MUCH_NEARER = 0.75  # of the distance to all balls: from nearer than that some are left out
 LARGE = 4.0  # times as large as the balls' box is a collider of which only the part beside them needs to be shown
 BESIDE = 0.25  # of the size of the balls' box
+SLENDER = 0.1  # thickness of a pole or a rail as a part of its length: of it, too, only the part beside the balls
+NEAR_WALL = 1.2  # sizes of the balls' box: a wall no farther below them is shown, where it is not known if they fall
 AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view
 
 
@@ -83,7 +85,8 @@ class Camera:
         time 0.
         """
         frames = [frames] if isinstance(frames, Frame) else frames
-        contents, radii, loose = zip(*(_content(frame) for frame in frames))
+        gap = NEAR_WALL if len(frames) == 1 else 0.0
+        contents, radii, loose = zip(*(_content(frame, gap) for frame in frames))
         radius, ball = np.concatenate(radii), np.concatenate(loose)
         turned = [
             cls(triple(_back(azimuth + orbit * frame.time, elevation)), (0.0, 0.0, 0.0)).axes() for frame in frames
@@ -157,14 +160,16 @@ def robust_bounds(position: Floats, radius: Floats) -> tuple[Bounds, NDArray[np.
 
 
 def near_boxes(frame: Frame, bounds: Bounds, least: float = 0.0) -> Floats:
-    """Corners (k, dim) of the boxes about colliders near the balls: of a much larger one, such as a floor, those of the part
-    beside the balls. least [m]: what is no further from them is near in any case."""
+    """Corners (k, dim) of the boxes about colliders near the balls: of a much larger one, such as a floor, and of a slender one
+    in 3D, such as a pole, those of the part beside the balls. least [m]: what is no further from them is near in any case."""
     reach, beside = max(0.75 * bounds.size, least), max(BESIDE * bounds.size, least)
     low, high = bounds.low - beside, bounds.high + beside
     corners = [np.zeros((0, frame.dim))]
     for box in (p.box for p in frame.colliders):
         if _meet(box, bounds.low - reach, bounds.high + reach):
-            if np.linalg.norm(box[1] - box[0]) > LARGE * bounds.size:
+            sides = np.sort(box[1] - box[0])
+            is_slender = frame.dim == 3 and sides[1] < SLENDER * sides[2]
+            if is_slender or np.linalg.norm(sides) > LARGE * bounds.size:
                 box = np.maximum(box[0], np.minimum(low, box[1])), np.minimum(box[1], np.maximum(high, box[0]))
             corners.append(_corners(*box))
     return np.concatenate(corners)
@@ -242,9 +247,9 @@ def _flown_off(need: Floats, ball: NDArray[np.int64], start: int) -> NDArray[np.
     return gone
 
 
-def _content(frame: Frame) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and their feet on walls nearby; and
-    the loose ball that each is of, or -1."""
+def _content(frame: Frame, gap: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and their feet on walls nearer than
+    `gap` sizes of the balls' box; and the loose ball that each is of, or -1."""
     seen = np.ones(len(frame.position), dtype=bool)
     seen[frame.torn_triangles] = False
     seen[frame.triangles] = True
@@ -262,7 +267,7 @@ def _content(frame: Frame) -> tuple[Floats, Floats, NDArray[np.int64]]:
     sizes = np.concatenate([radius[kept], np.zeros(len(drawn))])
     for plane in frame.walls if frame.walls.size else ():
         height = points @ plane[:3] - plane[3]
-        if 0 < height.min() < 1.2 * bounds.size:
+        if 0 < height.min() < gap * bounds.size:
             points = np.concatenate([points, points - height[:, None] * plane[:3]])
             sizes = np.concatenate([sizes, np.zeros(len(height))])
             ball = np.concatenate([ball, ball])

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from taichi_sim.kernels.render.shade import pixel_ray
 
-from taichi_sim import Frame, Scene, SceneError, Simulation
+from taichi_sim import Capsule, Frame, Scene, SceneError, Simulation
+from taichi_sim.analysis.frame import Placed
 from taichi_sim.device.engine import ti
 from taichi_sim.files.source import checked_output
 from taichi_sim.files.toml_reader import load_scene
@@ -421,6 +422,44 @@ def test_springs_keep_balls_in_the_picture():
     frames = list(scattering(60, 5))
     for frame in frames:
         frame.springs = np.array([[k, k + 1] for k in range(67)], dtype=np.int32)
+    camera = Camera.fit(frames, ASPECT)
+    assert max(np.abs(on_screen(camera, frame)).max() for frame in frames) < 1
+
+
+# What hangs ----------------------------------------------------------------------------------------------------------------
+
+
+def hanging(pole=False):
+    """Frames of a banner that swings 0.7 m above the ground, on a pole if asked."""
+    place = np.stack(np.meshgrid(np.linspace(0, 1.4, 8), np.linspace(0.7, 1.6, 6), [0.0], indexing="ij"), axis=-1)
+    place = place.reshape(-1, 3)
+    threads = np.stack([np.arange(len(place) - 1), np.arange(1, len(place))], axis=1)
+    scene = Scene(dim=3)
+    scene.add_collider(Capsule((-0.05, 0, 0), (-0.05, 1.7, 0), 0.03))
+    stick = Placed(scene.colliders[0], np.array([-0.05, 0.85, 0]), np.eye(3))
+    for time in np.linspace(0, 2, 7):
+        x = place + np.sin(2 * time) * (1.6 - place[:, 1:2]) * (0.3, 0.0, 0.5)
+        frame = Frame(time=time, position=x, velocity=0 * x, radius=np.full(len(x), 0.01), springs=threads)
+        frame.walls = np.array([[0.0, 1.0, 0.0, 0.0]])
+        frame.colliders = (stick,) if pole else ()
+        yield frame
+
+
+@pytest.mark.parametrize("pole", [False, True])
+def test_what_hangs_fills_the_picture_of_a_run(pole):
+    """The ground that it never reaches, and the foot of the pole, may lie outside."""
+    frames = list(hanging(pole))
+    camera = Camera.fit(frames, ASPECT)
+    seen = np.concatenate([on_screen(camera, frame) for frame in frames])
+    assert np.abs(seen).max() < 1
+    assert np.ptp(seen[:, 1]) > 1.5  # of the 2 from edge to edge
+    start = on_screen(Camera.fit(frames[0], ASPECT), frame_at(0, frames[0].position * (1, 0, 1)))
+    assert np.abs(start).max() < 1  # where it may fall is not known yet
+
+
+def test_the_ground_that_a_run_reaches_is_in_its_picture():
+    frames = list(hanging())
+    frames[-1].position = frames[-1].position * (1, 0, 1)
     camera = Camera.fit(frames, ASPECT)
     assert max(np.abs(on_screen(camera, frame)).max() for frame in frames) < 1
 
