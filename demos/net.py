@@ -29,7 +29,7 @@ def scene(slack=SLACK, stiffness=3000.0, layers=5):
         ((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82), (0.5, 0.35, 0.6))[:layers]
     ):
         ts.shapes.pile(
-            scene, (20, 5, 20), RADIUS, mass=0.01, jitter=0.3, seed=k, spacing=0.075, material="rubber", colour=colour,
+            scene, (20, 5, 20), RADIUS, mass=0.01, jitter=0.07, seed=k, spacing=0.075, material="rubber", colour=colour,
             position=(-0.71, 1.75 + 0.4 * k, -0.71),
         )  # fmt: skip
     scene.add_wall((0, 1, 0), material="rubber")

@@ -4,6 +4,7 @@ from runpy import run_path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import taichi_sim as ts
 from taichi_sim.files.source import built_in, demos, open_scene, resolve
@@ -77,6 +78,17 @@ def _nothing_pierces_itself(sim):
         shown = Content.of(frame, 1.0)
         x = np.concatenate([frame.position, shown.binding.apply(frame.position)])
         assert len(crossings(x, shown.triangles)) == 0, f"frame {k}"
+
+
+@pytest.mark.parametrize("name", ["drum", "net"])
+def test_balls_of_a_pile_do_not_overlap_at_the_start(name):
+    """Balls that overlap fly apart, with energy that nothing gave them."""
+    scene = open_scene(DEMOS[name])
+    loose = np.setdiff1d(np.arange(scene.n_balls), scene.pairs)
+    x, r = np.asarray(scene.position)[loose], np.asarray(scene.radius)[loose]
+    near = cKDTree(x).query_pairs(2.2 * r.max(), output_type="ndarray")
+    gap = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1) - r[near].sum(axis=1)
+    assert gap.min() > -1e-6 * r.max()
 
 
 @pytest.mark.parametrize("name", DEMOS)
