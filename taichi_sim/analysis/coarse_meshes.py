@@ -38,7 +38,6 @@ RIGHT = 0.01  # part of a time that is right
 ONE, TWO = 0.03, 0.2  # part of the balls inside a body: at most so many with one layer of boxes across, with two
 LOCKS = 0.49  # Poisson's ratio in three dimensions, above which two layers are too stiff
 BOXES = {2: (2.0, 0.46), 3: (2.1, 0.7)}  # c and d
-TOO_STIFF = 0.02  # of a stiffness, from which it is reported
 TOO_FAR = 1 / 16  # of the size of a mesh, a default brick: beyond its bricks, from which it is reported
 FINER = 0.95  # of a spacing that is too long: the next to try
 MOST_TRIED = 1e6  # boxes around a mesh that is filled to try a spacing

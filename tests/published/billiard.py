@@ -8,7 +8,7 @@ back.
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 SIZE, RADIUS, END = np.array([1.0, 0.7]), 0.04, 100.0
 START, VELOCITY = np.array([0.3, 0.2]), np.array([7.3, 4.1])
@@ -27,23 +27,12 @@ def scene():
 
 def measure():
     """Place and speed after 100 s; 1.4 km of way."""
-    rows, free = [], SIZE - 2 * RADIUS
-    for settings, sim in refined(scene):
+    free = SIZE - 2 * RADIUS
+    for row, sim in refined(scene):
         sim.run(END)
         straight = START - RADIUS + VELOCITY * sim.time
         folded = np.abs((straight + free) % (2 * free) - free)
         bounces = np.abs(np.floor(straight / free)).sum()
         off = np.linalg.norm(sim.position[0] - folded - RADIUS)
-        rows += [
-            Row(
-                f"distance from its place after {bounces:.0f} bounces",
-                "m",
-                0.0,
-                off,
-                5e-3,
-                scale=SIZE[0],
-                settings=settings,
-            ),
-            Row("speed", "m/s", np.hypot(*VELOCITY), np.hypot(*sim.velocity[0]), 1e-5, settings=settings),
-        ]
-    return rows
+        yield row(f"distance from its place after {bounces:.0f} bounces", "m", 0.0, off, 5e-3, scale=SIZE[0])
+        yield row("speed", "m/s", np.hypot(*VELOCITY), np.hypot(*sim.velocity[0]), 1e-5)

@@ -8,7 +8,7 @@ mathematique des effets du jeu de billard", 1835).
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, history, refined
+from tests.published.common import history, refined
 
 G, RADIUS, SPEED, MU = 9.81, 0.03, 1.4, 0.2
 
@@ -24,16 +24,13 @@ def scene():
 
 def measure():
     """Speed of rolling, and when and where it begins."""
-    rows, begins = [], 2 * SPEED / (7 * MU * G)
-    for settings, sim in refined(scene, 4):
+    begins = 2 * SPEED / (7 * MU * G)
+    for row, sim in refined(scene, 4):
         time, slip = history(
             sim, 1.5 * begins, 10**6, lambda sim: sim.velocity[0, 0] + RADIUS * sim.angular_velocity[0, 2]
         )
         rolling = time[np.flatnonzero(slip < 1e-4)[0]]
         way = 12 * SPEED**2 / (49 * MU * G) + 5 / 7 * SPEED * (sim.time - begins)
-        rows += [
-            Row("speed of rolling", "m/s", 5 / 7 * SPEED, sim.velocity[0, 0], 2e-3, settings=settings),
-            Row("time at which it rolls", "s", begins, rolling, 0.01, settings=settings),
-            Row("way, 1.5 of this time", "m", way, sim.position[0, 0], 2e-3, settings=settings),
-        ]
-    return rows
+        yield row("speed of rolling", "m/s", 5 / 7 * SPEED, sim.velocity[0, 0], 2e-3)
+        yield row("time at which it rolls", "s", begins, rolling, 0.01)
+        yield row("way, 1.5 of this time", "m", way, sim.position[0, 0], 2e-3)

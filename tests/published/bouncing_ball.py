@@ -7,7 +7,7 @@ e) (Bernstein, American Journal of Physics 45, 1977, 41). Its n-th bounce rises 
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, RADIUS, HEIGHT, RESTITUTION = 9.81, 0.05, 0.8, 0.75
 
@@ -23,8 +23,7 @@ def scene():
 
 def measure():
     """Heights of the first, fifth and tenth bounce, and the time of rest."""
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         time, height, speed = [], [], []
         while sim.time < 3.0:
             sim.step()
@@ -35,8 +34,7 @@ def measure():
         tops = height[1:][(speed[:-1] > 0) & (speed[1:] <= 0)]
         for n in (1, 5, 10):
             name = f"height of bounce {n}"
-            rows.append(Row(name, "m", HEIGHT * RESTITUTION ** (2 * n), tops[n - 1], 0.01, settings=settings))
+            yield row(name, "m", HEIGHT * RESTITUTION ** (2 * n), tops[n - 1], 0.01)
         last = time[np.flatnonzero(height > 1e-6)[-1] + 1]
         rest = np.sqrt(2 * HEIGHT / G) * (1 + RESTITUTION) / (1 - RESTITUTION)
-        rows.append(Row("time of rest", "s", rest, last, 0.01, settings=settings))
-    return rows
+        yield row("time of rest", "s", rest, last, 0.01)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, RADIUS, MU, TURN, END = 9.81, 0.005, 0.4, 200.0, 1.0  # TURN in degrees per second
 RATE = np.radians(TURN)
@@ -51,11 +51,9 @@ def reference(part):
 
 def measure():
     """Distances from the axis after a second."""
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         sim.run(END)
         middle = sim.position.reshape(-1, 2, 3).mean(axis=1)
         for k, part in enumerate(PARTS):
             found, name = np.hypot(middle[k, 0], middle[k, 2]), f"distance, started at {part:g} of the limit"
-            rows.append(Row(name, "m", reference(part), found, 0.01, settings=settings))
-    return rows
+            yield row(name, "m", reference(part), found, 0.01)

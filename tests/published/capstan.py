@@ -8,7 +8,7 @@ they move with (m1 - m2 e^(mu pi)) / (m1 + m2 e^(mu pi)) g, and stay where m1 < 
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, BAR, MU, HEAVY, LIGHT = 9.81, 0.25, 0.2, 2.0, 0.8
 COUNT, RADIUS, STIFFNESS, LENGTH = 81, 0.004, 4e4, 2.4  # balls of the rope, m, N/m, m
@@ -43,13 +43,9 @@ def scene(friction, light):
 
 def measure():
     """Acceleration, the mean of both weights' over 0.3 s."""
-    rows = []
     for name, friction, light in (("smooth", 0.0, LIGHT), ("rough", MU, LIGHT), ("held", MU, 1.2)):
         wanted = acceleration(friction, light)
-        for settings, sim in refined(lambda friction=friction, light=light: scene(friction, light), 4):
+        for row, sim in refined(lambda friction=friction, light=light: scene(friction, light), 4):
             sim.run(0.3)
             found = np.mean(sim.velocity[[0, -1], 1] / 0.3 * [-1, 1])
-            rows.append(
-                Row(f"acceleration, {name}", "m/s^2", wanted, found, 0.02, scale=wanted or G, settings=settings)
-            )
-    return rows
+            yield row(f"acceleration, {name}", "m/s^2", wanted, found, 0.02, scale=wanted or G)

@@ -9,7 +9,7 @@ with equal masses the row is Newton's cradle.
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 COUNT, SPEED, RADIUS, GAP = 7, 1.7, 0.05, 0.02
 MASSES = {"64 to 1": 2.0 ** np.arange(COUNT - 1, -1, -1), "equal": np.ones(COUNT)}
@@ -29,15 +29,11 @@ def scene():
 
 def measure():
     """Speed of the last ball, and energy."""
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         energy = sim.energy().total
         sim.run(0.5)
         speed = sim.velocity[:, 0].reshape(len(MASSES), COUNT)
         for k, (name, mass) in enumerate(MASSES.items()):
             exact = SPEED * np.prod(2 * mass[:-1] / (mass[:-1] + mass[1:]))
-            rows.append(
-                Row(f"speed of the last ball, masses {name}", "m/s", exact, speed[k, -1], 1e-4, settings=settings)
-            )
-        rows.append(Row("energy", "J", energy, sim.energy().total, 1e-4, settings=settings))
-    return rows
+            yield row(f"speed of the last ball, masses {name}", "m/s", exact, speed[k, -1], 1e-4)
+        yield row("energy", "J", energy, sim.energy().total, 1e-4)

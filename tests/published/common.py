@@ -1,12 +1,13 @@
 """Shared parts of the published tests: a measured row, their check, and how scenes are refined.
 
-Each file has a docstring (title; problem, formula, source and reference) and `measure()`, which returns the rows that `test_all`
+Each file has a docstring (title; problem, formula, source and reference) and `measure()`, which gives the rows that `test_all`
 holds. One that holds more than its rows, `test_NAME.py`, has tests of its own. `CHAOTIC` marks a mean of random starts, measured
 in single precision alone. `CAUSE` says why the program cannot pass yet; such a test is marked xfail, strictly.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -48,13 +49,13 @@ def hold(rows: list[Row]) -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def refined(scene: Callable[[], ts.Scene], *parts: int) -> Iterator[tuple[str, ts.Simulation]]:
-    """Simulations at the defaults, then with the automatic step divided by each of `parts`, with the name of the setting."""
+def refined(scene: Callable[[], ts.Scene], *parts: int) -> Iterator[tuple[Callable[..., Row], ts.Simulation]]:
+    """Simulations at the defaults, then with the automatic step divided by each of `parts`, with a maker of rows that name it."""
     for part in (1, *parts):
         with ts.Simulation(scene()) as sim:
             if part > 1:
                 sim.set_dt(sim.dt / part)
-            yield DEFAULTS if part == 1 else f"dt / {part}", sim
+            yield partial(Row, settings=DEFAULTS if part == 1 else f"dt / {part}"), sim
 
 
 def history(sim: ts.Simulation, duration: float, samples: int, read: Callable[[ts.Simulation], float]) -> np.ndarray:

@@ -9,7 +9,7 @@ Regular and Chaotic Dynamics 8, 2003, 375; one less where pi / arctan is whole).
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 RADIUS, SPEED = 0.02, 0.5
 RATIOS = (1, 16, 100)
@@ -41,8 +41,7 @@ def reference(ratio):
 
 def measure():
     """Number of collisions, counted by changes of velocity, and speeds at the end."""
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         counts, before = np.zeros(len(RATIOS), int), sim.velocity[::2, 0]
         while sim.time < 7.0:
             sim.step()
@@ -52,25 +51,6 @@ def measure():
         v = sim.velocity[:, 0].reshape(-1, 2)
         for k, ratio in enumerate(RATIOS):
             count, light, heavy = reference(ratio)
-            rows += [
-                Row(f"collisions, ratio {ratio}", "", count, counts[k], 0.0, settings=settings),
-                Row(
-                    f"last speed of the heavy ball, ratio {ratio}",
-                    "m/s",
-                    heavy,
-                    v[k, 1],
-                    1e-3,
-                    scale=SPEED,
-                    settings=settings,
-                ),
-                Row(
-                    f"last speed of the light ball, ratio {ratio}",
-                    "m/s",
-                    light,
-                    v[k, 0],
-                    1e-3,
-                    scale=SPEED,
-                    settings=settings,
-                ),
-            ]
-    return rows
+            yield row(f"collisions, ratio {ratio}", "", count, counts[k], 0.0)
+            yield row(f"last speed of the heavy ball, ratio {ratio}", "m/s", heavy, v[k, 1], 1e-3, scale=SPEED)
+            yield row(f"last speed of the light ball, ratio {ratio}", "m/s", light, v[k, 0], 1e-3, scale=SPEED)

@@ -8,7 +8,7 @@ m g / k. So turning points come nearer by 2 mu m g / k, until one lies within mu
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, MASS, STIFFNESS, MU, START, RADIUS = 9.81, 0.5, 80.0, 0.12, 0.1, 0.02
 SHIFT = MU * MASS * G / STIFFNESS
@@ -35,9 +35,9 @@ def reference():
 
 def measure():
     """Turning points, the place of rest and its time."""
-    points, rows = reference(), []
+    points = reference()
     rest = (len(points) - 1) * np.pi * np.sqrt(MASS / STIFFNESS)
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         time, x, v = [], [], []
         while sim.time < 1.5 * rest:
             sim.step()
@@ -47,10 +47,7 @@ def measure():
         x, v = np.array(x), np.array(v)
         turn = np.flatnonzero((v[:-1] * v[1:] < 0) | ((v[:-1] != 0) & (v[1:] == 0)))
         for k in (1, 4):
-            rows.append(Row(f"turning point {k}", "m", points[k], x[turn[k - 1]], 5e-3, scale=START, settings=settings))
+            yield row(f"turning point {k}", "m", points[k], x[turn[k - 1]], 5e-3, scale=START)
         still = time[np.flatnonzero(np.abs(x - x[-1]) > 1e-5)[-1] + 1]
-        rows += [
-            Row("place of rest", "m", points[-1], x[-1], 5e-3, scale=START, settings=settings),
-            Row("time of rest", "s", rest, still, 0.02, settings=settings),
-        ]
-    return rows
+        yield row("place of rest", "m", points[-1], x[-1], 5e-3, scale=START)
+        yield row("time of rest", "s", rest, still, 0.02)

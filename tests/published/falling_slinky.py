@@ -8,7 +8,7 @@ is linear: its exact motion follows from the eigenvectors of its stiffness matri
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, N, MASS, STIFFNESS = 9.81, 60, 0.3, 1.2  # balls; kg and N/m of the whole
 M, K = MASS / N, STIFFNESS * (N - 1)
@@ -33,21 +33,17 @@ def reference(time):
 
 def measure():
     """Heights of both ends at 0.5 and 0.9 of the time that the wave takes."""
-    rows, arrival, length = [], np.sqrt(MASS / STIFFNESS), RELEASED[0] - RELEASED[-1]
-    for settings, sim in refined(scene, 4):
+    arrival, length = np.sqrt(MASS / STIFFNESS), RELEASED[0] - RELEASED[-1]
+    for row, sim in refined(scene, 4):
         for part in (0.5, 0.9):
             sim.run(part * arrival - sim.time)
             exact, found = reference(sim.time), sim.position[:, 1]
             for end, name in ((0, "top"), (-1, "bottom")):
-                rows.append(
-                    Row(
-                        f"fall of its {name} at {part:g} sqrt(M/K)",
-                        "m",
-                        RELEASED[end] - exact[end],
-                        RELEASED[end] - found[end],
-                        1e-3,
-                        scale=length,
-                        settings=settings,
-                    )
+                yield row(
+                    f"fall of its {name} at {part:g} sqrt(M/K)",
+                    "m",
+                    RELEASED[end] - exact[end],
+                    RELEASED[end] - found[end],
+                    1e-3,
+                    scale=length,
                 )
-    return rows

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, refined
+from tests.published.common import crossings, refined
 
 ARMS, MASS, STIFFNESS = np.array([0.5, 0.35, 0.2]), 0.5, 1e6  # m, kg, N/m
 MOMENTS = 2 * MASS * np.array([ARMS[1] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[1] ** 2])
@@ -37,8 +37,7 @@ def reference(time):
 
 def measure():
     """Times of the flips and the least rate of turn."""
-    rows = []
-    for settings, sim in refined(scene, 2):
+    for row, sim in refined(scene, 2):
         time, turn = [], []
         while sim.time < END - 0.01:
             x, v = sim.position, sim.velocity
@@ -50,10 +49,7 @@ def measure():
         time, turn = np.array(time), np.array(turn)
         exact = reference(time)
         flips, wanted = (np.sort(np.r_[crossings(time, w), crossings(time, w, False)]) for w in (turn, exact))
-        rows += [
-            Row("number of flips", "", len(wanted), len(flips), 0.0, settings=settings),
-            Row("time of the first flip", "s", wanted[0], flips[0], 0.01, settings=settings),
-            Row("time of the last flip", "s", wanted[-1], flips[-1], 0.01, settings=settings),
-            Row("least rate of turn", "1/s", exact.min(), turn.min(), 0.01, settings=settings),
-        ]
-    return rows
+        yield row("number of flips", "", len(wanted), len(flips), 0.0)
+        yield row("time of the first flip", "s", wanted[0], flips[0], 0.01)
+        yield row("time of the last flip", "s", wanted[-1], flips[-1], 0.01)
+        yield row("least rate of turn", "1/s", exact.min(), turn.min(), 0.01)

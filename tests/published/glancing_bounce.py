@@ -9,7 +9,7 @@ spin changes by 5/(2 r) of what u does.
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 RADIUS, DOWN, E, MU = 0.1, 2.0, 0.7, 0.15
 ALONG = np.array([0.2, 1.0, 1.7, 1.9, 3.0, 6.0])  # m/s; 7/2 mu (1 + e) v is 1.785
@@ -29,16 +29,10 @@ def scene():
 def measure():
     """Speeds and spins after the bounce."""
     change = -np.sign(ALONG) * np.minimum(2 / 7 * np.abs(ALONG), MU * (1 + E) * DOWN)
-    rows = []
-    for settings, sim in refined(scene):
+    for row, sim in refined(scene):
         sim.run(0.5)
         v, w = sim.velocity, sim.angular_velocity
         for k, along in enumerate(ALONG):
-            rows.append(
-                Row(f"speed along, before {along:g} m/s", "m/s", along + change[k], v[k, 0], 1e-4, settings=settings)
-            )
-            rows.append(
-                Row(f"spin, before {along:g} m/s", "1/s", 2.5 * change[k] / RADIUS, w[k, 2], 1e-4, settings=settings)
-            )
-        rows.append(Row("speed up", "m/s", E * DOWN, v[:, 1].mean(), 1e-4, settings=settings))
-    return rows
+            yield row(f"speed along, before {along:g} m/s", "m/s", along + change[k], v[k, 0], 1e-4)
+            yield row(f"spin, before {along:g} m/s", "1/s", 2.5 * change[k] / RADIUS, w[k, 2], 1e-4)
+        yield row("speed up", "m/s", E * DOWN, v[:, 1].mean(), 1e-4)

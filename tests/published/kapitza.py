@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, crossings, refined
+from tests.published.common import crossings, refined
 
 G, LENGTH, MASS, STIFFNESS, DAMPING = 9.81, 0.5, 0.2, 2e6, 20.0
 SWING, PER_SECOND, POINTS = 0.04, 25, 40  # m, swings of the pivot per second, keyframes for each
@@ -44,8 +44,7 @@ def reference(time, swing):
 
 def measure():
     """Slow period, largest angle on the other side, and the time at which the other one is level."""
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         time, angle = [], []
         while sim.time < END - 2e-3:
             x = sim.position
@@ -57,12 +56,9 @@ def measure():
         exact = [reference(time, swing) for swing in (SWING, SWING / 3)]
         slow = [np.diff(crossings(time, smooth(time, a), False)[:2])[0] for a in (exact[0], found[:, 0])]
         level = [time[np.argmax(np.abs(a) > np.pi / 2)] for a in (exact[1], found[:, 1])]
-        rows += [
-            Row("period of the slow swing", "s", *slow, 0.01, settings=settings),
-            Row("angle on the other side", "rad", exact[0].min(), found[:, 0].min(), 0.01, settings=settings),
-            Row("time at which the slower one is level", "s", *level, 0.01, settings=settings),
-        ]
-    return rows
+        yield row("period of the slow swing", "s", *slow, 0.01)
+        yield row("angle on the other side", "rad", exact[0].min(), found[:, 0].min(), 0.01)
+        yield row("time at which the slower one is level", "s", *level, 0.01)
 
 
 def smooth(time, angle):

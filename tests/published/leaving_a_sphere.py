@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, LARGE, SMALL, PUSH = 9.81, 1.0, 0.1, 0.15
 
@@ -47,15 +47,14 @@ def reference(friction):
 
 def measure():
     """Speed along the ground in free flight; without friction also the cosine, which follows from it."""
-    rows, distance = [], LARGE + SMALL
+    distance = LARGE + SMALL
     for name, friction in (("smooth", 0.0), ("rolling", 0.5), ("gripping", 10.0)):
         cosine, speed = reference(friction)
-        for settings, sim in refined(lambda friction=friction: scene(friction), 4):
+        for row, sim in refined(lambda friction=friction: scene(friction), 4):
             while np.linalg.norm(sim.position[0]) < distance + 0.02:
                 sim.step()
             found = sim.velocity[0, 0]
-            rows.append(Row(f"speed along the ground, {name}", "m/s", speed, found, 5e-3, settings=settings))
+            yield row(f"speed along the ground, {name}", "m/s", speed, found, 5e-3)
             if not friction:
                 angle = np.cbrt(found**2 / (G * distance))
-                rows.append(Row(f"cosine of the angle, {name}", "", cosine, angle, 5e-3, settings=settings))
-    return rows
+                yield row(f"cosine of the angle, {name}", "", cosine, angle, 5e-3)

@@ -8,7 +8,7 @@ A sphere rolls down an incline with 5/7 g sin(angle) where tan(angle) < 7/2 mu. 
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import refined
 
 G, RADIUS, MU, END = 9.81, 0.05, 0.2, 0.8
 ANGLES = (10, 30, 34, 37, 60)  # degrees; the threshold is 34.99
@@ -27,16 +27,12 @@ def scene(angle):
 
 def measure():
     """Accelerations and spins after 0.8 s."""
-    rows = []
     for angle in ANGLES:
         tilt = np.radians(angle)
         along = max(5 / 7 * G * np.sin(tilt), G * (np.sin(tilt) - MU * np.cos(tilt)))
         spin = min(along, 2.5 * MU * G * np.cos(tilt)) / RADIUS * END
-        for settings, sim in refined(lambda angle=angle: scene(angle)):
+        for row, sim in refined(lambda angle=angle: scene(angle)):
             sim.run(END)
             found = sim.velocity[0] @ [np.cos(tilt), -np.sin(tilt), 0] / END
-            rows.append(Row(f"acceleration at {angle} degrees", "m/s^2", along, found, 1e-3, settings=settings))
-            rows.append(
-                Row(f"spin at {angle} degrees", "1/s", spin, -sim.angular_velocity[0, 2], 1e-3, settings=settings)
-            )
-    return rows
+            yield row(f"acceleration at {angle} degrees", "m/s^2", along, found, 1e-3)
+            yield row(f"spin at {angle} degrees", "1/s", spin, -sim.angular_velocity[0, 2], 1e-3)

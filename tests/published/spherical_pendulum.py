@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import crossings, refined
 
 G, LENGTH, MASS, STIFFNESS = 9.81, 0.9, 0.6, 1e6
 OUT, ASIDE = np.radians(50.0), 0.8  # rad, m/s across
@@ -46,8 +46,7 @@ def reference():
 def measure():
     """Period and turn of the orbit, the mean over 8 s."""
     period, angle = reference()
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         time, turned, radial = [], [], []
         while sim.time < 8.0:
             x, v = sim.position[1], sim.velocity[1]
@@ -55,13 +54,7 @@ def measure():
             turned.append(np.arctan2(-x[2], x[0]))
             radial.append(x[0] * v[0] + x[2] * v[2])
             sim.step(round(2e-3 / sim.dt))
-        turned, radial = np.unwrap(turned), np.array(radial)
-        at = np.flatnonzero((radial[:-1] > 0) & (radial[1:] <= 0))
-        part = radial[at] / (radial[at] - radial[at + 1])
-        times = np.array(time)[at] + part * np.diff(time)[at]
-        angles = np.abs(turned[at] + part * np.diff(turned)[at])
-        rows += [
-            Row("time between outermost points", "s", period, np.diff(times).mean(), 1e-3, settings=settings),
-            Row("precession", "rad", angle - np.pi, np.diff(angles).mean() - np.pi, 5e-3, settings=settings),
-        ]
-    return rows
+        times = crossings(np.array(time), np.array(radial), rising=False)
+        angles = np.abs(np.interp(times, time, np.unwrap(turned)))
+        yield row("time between outermost points", "s", period, np.diff(times).mean(), 1e-3)
+        yield row("precession", "rad", angle - np.pi, np.diff(angles).mean() - np.pi, 5e-3)

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import taichi_sim as ts
-from tests.published.common import Row, refined
+from tests.published.common import crossings, refined
 
 MASS, REST, STIFFNESS = 0.5, 0.4, 20.0
 FAR, SPEED = 1.0, 1.5  # m, m/s at the farthest point, across
@@ -47,8 +47,7 @@ def reference():
 def measure():
     """Nearest distance, apsidal angle and period, the mean over the orbits of 20 s."""
     near, angle, period = reference()
-    rows = []
-    for settings, sim in refined(scene, 4):
+    for row, sim in refined(scene, 4):
         time, turned, radial, distance = [], [], [], []
         while sim.time < 20.0:
             x, v = sim.position[1], sim.velocity[1]
@@ -57,14 +56,8 @@ def measure():
             radial.append(x @ v)
             distance.append(np.hypot(*x))
             sim.step(round(2e-3 / sim.dt))
-        turned, radial = np.unwrap(turned), np.array(radial)
-        at = np.flatnonzero((radial[:-1] > 0) & (radial[1:] <= 0))
-        part = radial[at] / (radial[at] - radial[at + 1])
-        times = np.array(time)[at] + part * np.diff(time)[at]
-        angles = turned[at] + part * np.diff(turned)[at]
-        rows += [
-            Row("nearest distance", "m", near, min(distance), 1e-3, settings=settings),
-            Row("period", "s", period, np.diff(times).mean(), 1e-3, settings=settings),
-            Row("apsidal angle", "rad", angle, np.diff(angles).mean(), 1e-3, settings=settings),
-        ]
-    return rows
+        times = crossings(np.array(time), np.array(radial), rising=False)
+        angles = np.interp(times, time, np.unwrap(turned))
+        yield row("nearest distance", "m", near, min(distance), 1e-3)
+        yield row("period", "s", period, np.diff(times).mean(), 1e-3)
+        yield row("apsidal angle", "rad", angle, np.diff(angles).mean(), 1e-3)
