@@ -53,6 +53,10 @@ class SweepFolder(StudyFolder):
         """Make the folder of batches, without those of another sweep."""
         self.batches.mkdir(exist_ok=True)
         require_own(self.batches)
+        self._clear()
+
+    def _clear(self) -> None:
+        """Delete batches of another sweep, and what workers that were killed had begun to write."""
         emptied(self.batches, re.compile(rf"(?!{self.mark})[0-9a-f]{{12}}_{BATCH_FILE}"))
 
     def empty(self) -> None:
@@ -81,6 +85,7 @@ class SweepFolder(StudyFolder):
         if not self.begun:
             return
         self._compact()
+        self._clear()
         rows = [self.rows[key] for key in dict.fromkeys(point.key for point in points) if key in self.rows]
         columns = columns_of(rows)
         self.write("table.csv", table_of(columns))

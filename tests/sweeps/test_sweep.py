@@ -16,6 +16,7 @@ from physics_support import PRECISION
 from sweep_scenes import both, heap, heap_file, hostile, mortal, slow, springs, top
 
 import taichi_sim as ts
+from taichi_sim.common.atomic_file import locked
 from taichi_sim.device.engine import IS_KNOWN
 from taichi_sim.files.parameters import put
 from taichi_sim.studies.workers import Workers, _answers
@@ -78,6 +79,22 @@ def test_a_sweep_is_what_single_runs_are(tmp_path):
     assert "top" in page
     assert "<svg" in page
     assert "restitution" in page
+
+
+def test_what_a_killed_worker_was_writing_does_not_outlast_the_sweep(tmp_path, monkeypatch):
+    batches, run, busy = tmp_path / "s" / "batches", Runner.run, []
+    left, held = (f".0123456789ab_{'7' * 16}_4.jsonl.{16 * one}.part" for one in "ab")
+
+    def after_a_kill(self, point):
+        (batches / left).write_text("half a r")
+        busy.append(open(batches / held, "x+b"))  # noqa: SIM115  # another worker is at it
+        assert locked(busy[0])
+        return run(self, point)
+
+    monkeypatch.setattr(Runner, "run", after_a_kill)
+    ts.sweep(heap, {"restitution": [0.3]}, measure=top, folder=tmp_path / "s", duration=0.02, **HERE)
+    assert [file.name for file in batches.iterdir()] == [held]
+    busy[0].close()
 
 
 def test_the_same_call_does_what_is_missing(tmp_path, monkeypatch):
