@@ -5,7 +5,10 @@ impulse, is r = m (q - v) + s F; its matrix A = M + s C + s^2 K has for each spr
 
     (s c + s^2 k) n n^T + s^2 max(0, T / d) (I - n n^T) = along r r^T + across I
 
-with the tension T, that of damping included, without what is negative, so that A is positive definite at any step. Scalar
+with the tension T, that of damping included, without what is negative, so that A is positive definite at any step. Damping
+is by the rate that the method has for d^2 / 2 as for a place, over d: (d^2 / 2 - e) / (s d), with e of the places that the
+stage starts from. So a spring that turns is not strained. With the velocity w of the way that made p of a place, that is
+(u . r + s (w . w - u . u) / 2) / d. The second part is bounded where a spring passes through its other end. Scalar
 products are summed in double precision, where the device has it, and in parts of a fixed length: the same bits for any number
 of threads.
 """
@@ -15,6 +18,17 @@ from taichi_sim.kernels.springs.law import energy, tension
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
+
+MOST_TURN = 0.5  # of a relative velocity: what turns by less than a sixth of a circle in a stage is not strained
+
+
+@ti.func
+def closing(r, u, w, s, dim: ti.template()):
+    """u . r, with what the method adds to it, see above."""
+    square, half = padded_blocks.dot(u, u, dim), 0.5 * s
+    bound = MOST_TURN * ti.sqrt(square * padded_blocks.dot(r, r, dim))
+    added = half * (padded_blocks.dot(w, w, dim) - square)
+    return padded_blocks.dot(u, r, dim) + ti.max(-bound, ti.min(added, bound))
 
 
 @ti.func
@@ -31,7 +45,10 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
         n, _ = unit(padded_blocks.cut(r, dim), i, j)
         r = padded_blocks.pad(n, dim)
         inverse = 1.0
-    pull = tension(spring, s, d, inverse, padded_blocks.dot(u, r, dim), damped)
+    approach = ti.cast(0.0, float)
+    if ti.static(damped):
+        approach = closing(r, u, b.w - a.w, s, dim)
+    pull = tension(spring, s, d, inverse, approach, damped)
     rate = s * (s * spring.stiffness)
     across = ti.max(0.0 * rate, s * inverse * pull)
     if ti.static(damped):
@@ -40,11 +57,13 @@ def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
 
 
 @ti.func
-def potential(r, u, before, spring, s, damped: ti.template()):
-    """Part of a spring in the potential of a stage, its ends r [m] apart with the relative velocity u [m/s]. Damping acts along
-    `before` [m], their way before a change: it has a potential only along a direction that stays."""
-    phi = energy(spring.stiffness, r.norm() - spring.rest_length)
+def potential(r, change, before, closing_before, spring, s, damped: ti.template()):
+    """Part of a spring in the potential of a stage, its ends r [m] apart, `before` [m] before a change of that. Its rate counts
+    as before, closing_before over its length, and by the change of the length."""
+    d = r.norm()
+    phi = energy(spring.stiffness, d - spring.rest_length)
     if ti.static(damped):
-        rate = u.dot(before) / ti.max(before.norm(), ti.sqrt(padded_blocks.COINCIDENT))
+        least, b = ti.sqrt(padded_blocks.COINCIDENT), before.norm()
+        rate = closing_before / ti.max(b, least) + change.dot(r + before) / ti.max(s * (d + b), least)
         phi += 0.5 * s * spring.damping * rate * rate
     return phi

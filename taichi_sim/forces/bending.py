@@ -117,7 +117,9 @@ class Bending(Corners):
         """Share of ball i of half the power of damping [W]."""
         loss = ti.cast(0.0, real)
         if ti.static(self.damped):
-            bent, change = self._curve(ball, i, row), self._change(ball, i, row)
+            p = ball[i].p
+            moved = row.wa * (ball[row.a].p - p) + row.wb * (ball[row.b].p - p) + row.wc * (ball[row.c].p - p)
+            bent, change = ti.cast(self._curve(ball, i, row), float) - moved, self._change(ball, i, row)
             square = bent.dot(bent)
             rate = change.dot(change)
             if square > 0.0:
@@ -127,17 +129,28 @@ class Bending(Corners):
 
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):
-        """The exact derivative by places; of damping that by velocities, n kept."""
+        """The exact derivative by places; of damping that by velocities, n kept, and what turns of n do with its force."""
         p = ball[i].p
         turned = row.wa * (ball[row.a].p - p) + row.wb * (ball[row.b].p - p) + row.wc * (ball[row.c].p - p)
         product = s * (s * row.stiffness) * turned
         if ti.static(self.damped):
-            bent = ti.cast(self._curve(ball, i, row), float)
-            square = bent.dot(bent)
-            if square > 0.0:
-                turned = bent.dot(turned) / square * bent
-            product += s * row.damping * turned
+            n, along, across = self._resistance(ball, i, row, s)
+            product = across * turned + (along - across) * n.dot(turned) * n
         return row.own * product
+
+    @ti.func
+    def _resistance(self, ball: ti.template(), i, row, s):
+        """Direction n of the curvature b, and s^2 K + s D along it and across it [kg]. Across n it is s^2 (k |b| + c n . db/dt)
+        / |b| without what is negative. Above s^2 k + s c n has turned round: the element bends through where it is flat."""
+        n, across = ti.cast(self._curve(ball, i, row), float), s * (s * row.stiffness)
+        along, square = across + s * row.damping, n.norm_sqr()
+        if square > 0.0:
+            across += s * (s * row.damping) * n.dot(self._change(ball, i, row)) / square
+            n /= ti.sqrt(square)
+            across = ti.min(ti.max(0.0 * across, across), along)
+        else:
+            across = along
+        return n, along, across
 
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
@@ -145,11 +158,8 @@ class Bending(Corners):
         one = ti.Matrix.identity(float, self.dim)
         block = s * (s * row.stiffness) * one
         if ti.static(self.damped):
-            bent = ti.cast(self._curve(ball, i, row), float)
-            square = bent.dot(bent)
-            if square > 0.0:
-                one = bent.outer_product(bent) / square
-            block += s * row.damping * one
+            n, along, across = self._resistance(ball, i, row, s)
+            block = across * one + (along - across) * n.outer_product(n)
         return row.own * row.own * block
 
 

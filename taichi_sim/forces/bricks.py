@@ -69,13 +69,15 @@ class Bricks(NeoHookean):
 
     @ti.func
     def _amplitudes(self, ball: ti.template(), e, member: ti.template(), real: ti.template()):
-        """Amplitudes (2^dim, dim) of brick e in a member of its balls, "x" [m], "v" [m/s] or "p": sums with signs."""
+        """Amplitudes (2^dim, dim) of brick e in a member of its balls, "x" [m], "v" or "w" [m/s] or "p": sums with signs."""
         corners = self.brick[e].balls
         u = ti.Matrix.zero(real, self.k, self.dim)
         for c in ti.static(range(1, self.k)):
             d = ti.Vector.zero(real, self.dim)
             if ti.static(member == "x"):
                 d = ti.cast(ball[corners[c]].x - ball[corners[0]].x, real)
+            elif ti.static(member == "w"):
+                d = ti.cast(ball[corners[c]].w - ball[corners[0]].w, real)
             elif ti.static(member == "v"):
                 d = ti.cast(ball[corners[c]].v - ball[corners[0]].v, real)
             else:
@@ -155,6 +157,21 @@ class Bricks(NeoHookean):
                 self.push[e * self.k + c][j] = f[c, j]
 
     @ti.func
+    def _rates(self, ball: ti.template(), e, law, gradient, u, real: ti.template()):
+        """Rate of the strain [1/s], of which the symmetric part counts, and of Q (2^dim, dim) [m/s]."""
+        w = self._amplitudes(ball, e, "v", real)
+        change = self._gradient(w, law.slope, real)
+        strain = gradient.transpose() @ change
+        bent = self._turned_back(change, u, real) + self._turned_back(gradient, w, real)
+        if ti.static(self.staged):
+            half = ti.cast(self.half_step[0], real)
+            before = self._amplitudes(ball, e, "w", real)
+            past = self._gradient(before, law.slope, real)
+            strain += half * (past.transpose() @ past - change.transpose() @ change)
+            bent += 2.0 * half * (self._turned_back(past, before, real) - self._turned_back(change, w, real))
+        return strain, bent
+
+    @ti.func
     def prepare(self, ball: ti.template()):
         """Forces on the corners of each brick."""
         for e in range(self.count):
@@ -163,12 +180,9 @@ class Bricks(NeoHookean):
             gradient = self._gradient(u, law.slope, ball.x.dtype)
             stress, q = self.stress_of(gradient, law), self._turned_back(gradient, u, ball.x.dtype)
             if ti.static(self.viscous):
-                w = self._amplitudes(ball, e, "v", ball.x.dtype)
-                change = self._gradient(w, law.slope, ball.x.dtype)
-                rate = gradient.transpose() @ change
-                stress += law.delay * law.mu * gradient @ (rate + rate.transpose())
-                q += law.delay * self._turned_back(change, u, ball.x.dtype)
-                q += law.delay * self._turned_back(gradient, w, ball.x.dtype)
+                strain, bent = self._rates(ball, e, law, gradient, u, ball.x.dtype)
+                stress += law.delay * law.mu * gradient @ (strain + strain.transpose())
+                q += law.delay * bent
             t = ti.cast(self._bending(q, law, ball.x.dtype), float)
             self._push(e, law, ti.cast(stress, float), ti.cast(gradient, float), ti.cast(u, float), t)
 
@@ -187,7 +201,7 @@ class Bricks(NeoHookean):
         factor = s * s
         if ti.static(self.viscous):
             strain = gradient.transpose() @ change
-            stress += s * law.delay * law.mu * gradient @ (strain + strain.transpose())
+            stress += s * law.delay * law.mu * gradient @ (strain + strain.transpose()) + s * s * change @ self.drag[e]
             factor += s * law.delay
         q = factor * (self._turned_back(change, u, float) + self._turned_back(gradient, moved, float))
         return stress, self._bending(q, law, float)
@@ -200,6 +214,9 @@ class Bricks(NeoHookean):
             u = self._amplitudes(ball, e, "x", float)
             gradient = self._gradient(u, law.slope, float)
             self.find_axes(e, gradient, law)
+            if ti.static(self.viscous):
+                strain, _ = self._rates(ball, e, law, gradient, u, float)
+                self.note_drag(e, law.delay * law.mu, strain)
             for c in range(self.k):
                 for j in range(self.dim):
                     self._block_column(e, law, gradient, u, c, j, s)
@@ -265,10 +282,8 @@ class Bricks(NeoHookean):
         if ti.static(self.viscous):
             e = row.place // self.k
             law = self.law[self.brick[e].law]
-            u, w = self._amplitudes(ball, e, "x", real), self._amplitudes(ball, e, "v", real)
-            gradient, change = self._gradient(u, law.slope, real), self._gradient(w, law.slope, real)
-            strain = gradient.transpose() @ change
-            q = self._turned_back(change, u, real) + self._turned_back(gradient, w, real)
+            u = self._amplitudes(ball, e, "x", real)
+            strain, q = self._rates(ball, e, law, self._gradient(u, law.slope, real), u, real)
             t = self._bending(q, law, real)
             loss += 0.5 * law.mu * (strain + strain.transpose()).norm_sqr()
             for p in ti.static(self.bent):

@@ -61,7 +61,8 @@ class Element(Corners):
     `product(ball, row, s)`: the rows of corner row.corner of (s^2 K + s D) p, p from ball[j].p, where -K and -D are the
     derivatives of the forces by places and velocities, symmetric, and without what is negative. `block(ball, row, s)`: the block
     (dim, dim) of s^2 K + s D that joins the corner to itself. `potential(ball, row, s)`: the corner's share of the energy [J]
-    and of s / 2 times the power that damping takes. Places and velocities are those of the end of a stage of s seconds.
+    and of s / 2 times the power that damping takes. Places and velocities are those of the end of a stage of s seconds. Damping
+    along a direction that turns counts in `potential` along that at ball[j].x - ball[j].p, before the change under test.
     """
 
     elastic = refined = False

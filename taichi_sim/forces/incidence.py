@@ -21,18 +21,24 @@ CORNER_NAMES = "abcdefgh"  # of the balls in a row
 class Corners:
     """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
     the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
-    see kernels.loops.list_entry. derivatives: 1 where the energy is of strains, 2 where it is of curvatures. refined: in an
-    implicit stage ball[j].x has double precision. `gone` (r), where springs can tear: rows whose element has lost a side, see
-    forces.tearing.
+    see kernels.loops.list_entry. staged: true in an implicit stage. derivatives: 1 where the energy is of strains, 2 where it
+    is of curvatures. refined: in an implicit stage ball[j].x has double precision. `gone` (r), where springs can tear: rows
+    whose element has lost a side, see forces.tearing.
 
     Elements that give `corner_product`, `corner_block` and `corner_energy` are implicit in implicit methods: a stage of s seconds
     that ends at places x = p + s v minimises sum m |q - v|^2 / 2 + W(x) + s R(x, v), W the energy and R half of the power that
     damping takes. Of its matrix M + s^2 K + s D these functions give s^2 K + s D, which must be positive semidefinite and
     symmetric: an element leaves out, or clamps, what is negative. They read ball[j].x and ball[j].v, which are those of the end
-    of the stage, and ball[j].p, the vector that is multiplied. Work that corners share is done once for each element in
-    `prepare`, `prepare_blocks` and `prepare_product`, which run before."""
+    of the stage, and ball[j].p, the vector that is multiplied, or the way [m] that the change under test made.
 
-    may_slice = False
+    Damping is by the rate of strain that the method has for the strain as for a place: (E(x) - E0) / s, with E0 of the places
+    that the stage starts from. So what turns is not strained, and damping has the potential s / 2 times its power. With
+    ball[j].w the velocity of the way that made x - s v of a place, E being of second order in places, that is x . v + s (w . w
+    - v . v) / 2. Work that corners share is done once for each element in `prepare`, `prepare_blocks` and `prepare_product`,
+    which run before."""
+
+    may_slice = staged = False
+    half_step: Any  # s: field of one, where staged
     refined = True
     derivatives = 1
 
@@ -144,7 +150,8 @@ class Corners:
 
     @ti.func
     def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):
-        """Ball i's share of half of the power [W] that the damping of the element of a row takes."""
+        """Ball i's share of half of the power [W] that the damping of the element of a row takes. Damping that acts
+        along a direction where the stage ends has no potential: it counts along that at the places x - p, before a change."""
         return ti.cast(0.0, real)
 
     @ti.func

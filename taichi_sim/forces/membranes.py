@@ -16,10 +16,11 @@ class Membranes(Corners):
     """Forces -A F (S + T) g_k on the corners k of triangles of area A at rest, g_k the gradients of their linear functions.
 
     F = sum_k x_k g_k^T (3 x 2) is the derivative of places, E = (F^T F - 1) / 2 the strain, S = C : E the stress, and T = damping
-    C : dE/dt. The matrix has F (C : sym F^T dF) g, positive semidefinite, and dF S g without the negative eigenvalue of S, which
-    is what buckles (Teran et al. 2005). Each triangle is worked out once, into three vectors, which its corners gather.
+    C : dE/dt. The matrix has F (C : sym F^T dF) g, positive semidefinite, and dF (S + T) g without the negative eigenvalue of S
+    + T, which is what buckles (Teran et al. 2005). Each triangle is worked out once, into three vectors, which its corners
+    gather.
 
-    Fields: `triangle`, one row each; `given` (3 t): what each has for its corners; `state`: F by its columns u and v, and S.
+    Fields: `triangle`, one row each; `given` (3 t): what each has for its corners; `state`: F by its columns u and v, and S + T.
     """
 
     name = "membranes"
@@ -75,11 +76,24 @@ class Membranes(Corners):
     def _rate(self, ball: ti.template(), u, v, of):
         """Rate of the strain (E_uu, E_vv, 2 E_uv) [1/s]."""
         du, dv = self._slope(ball[of.a].v, ball[of.b].v, ball[of.c].v, of)
-        return ti.Vector([u.dot(du), v.dot(dv), u.dot(dv) + v.dot(du)])
+        rate = ti.Vector([u.dot(du), v.dot(dv), u.dot(dv) + v.dot(du)])
+        if ti.static(self.staged):
+            rate -= self.half_step[0] * ti.Vector([du.dot(du), dv.dot(dv), 2.0 * du.dot(dv)])
+            du, dv = self._slope(ball[of.a].w, ball[of.b].w, ball[of.c].w, of)
+            rate += self.half_step[0] * ti.Vector([du.dot(du), dv.dot(dv), 2.0 * du.dot(dv)])
+        return rate
 
     @ti.func
     def _strain(self, u, v):
         return ti.Vector([0.5 * (u.dot(u) - 1.0), 0.5 * (v.dot(v) - 1.0), u.dot(v)])
+
+    @ti.func
+    def _whole_stress(self, ball: ti.template(), u, v, of):
+        """Stress of the strain, and that of its rate."""
+        stress = self._stress(self._strain(u, v), of)
+        if ti.static(self.damped):
+            stress += of.damping * self._stress(self._rate(ball, u, v, of), of)
+        return stress
 
     @ti.func
     def prepare(self, ball: ti.template()):
@@ -87,9 +101,7 @@ class Membranes(Corners):
         for t in range(self.count):
             of = self.triangle[t]
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
-            stress = self._stress(self._strain(u, v), of)
-            if ti.static(self.damped):
-                stress += of.damping * self._stress(self._rate(ball, u, v, of), of)
+            stress = self._whole_stress(ball, u, v, of)
             self._give(t, u * stress[0] + v * stress[2], v * stress[1] + u * stress[2], of)
 
     @ti.func
@@ -124,7 +136,7 @@ class Membranes(Corners):
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
             self.state[t].u = ti.cast(u, float)
             self.state[t].v = ti.cast(v, float)
-            self.state[t].stress = ti.cast(tensile(self._stress(self._strain(u, v), of)), float)
+            self.state[t].stress = ti.cast(tensile(self._whole_stress(ball, u, v, of)), float)
 
     @ti.func
     def _factor(self, of, s):

@@ -17,6 +17,7 @@ class NeoHookean(Corners):
     deformation gradient F (Smith, de Goes, Kim 2018). `law`: a row with its m, k and alpha; `real`: the type of numbers."""
 
     real: Any
+    viscous: bool
 
     @ti.func
     def doubled_density(self, gradient, law):
@@ -48,6 +49,14 @@ class NeoHookean(Corners):
         self.left, self.right, self.along = (fields.matrices(count, self.dim) for _ in range(3))
         # of the pair (i, j): of its sum where i < j, of its difference where i > j
         self.across = fields.matrices(count, self.dim)
+        if self.viscous:
+            self.drag = fields.matrices(count, self.dim)
+
+    @ti.func
+    def note_drag(self, e, viscosity, rate):
+        """Write `drag` of row e, the stress of viscosity in the frame of the body, without what is negative: it turns with F.
+        rate: of strain [1/s], of which the symmetric part counts."""
+        self.drag[e] = self._without_negative(viscosity * (rate + rate.transpose()))
 
     @ti.func
     def find_axes(self, e, gradient, law):

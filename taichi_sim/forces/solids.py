@@ -103,7 +103,8 @@ class Solids(NeoHookean):
 
     @ti.func
     def _averaged(self, ball: ti.template(), i, member: ti.template(), real: ti.template()):
-        """Mean (dim, dim) at ball i of the derivatives of a member of balls, "x" [m], "v" [m/s] or "p", in the elements; without
+        """Mean (dim, dim) at ball i of the derivatives of a member of balls, "x" [m], "v" or "w" [m/s] or "p", in the elements;
+        without
         the division by its volume."""
         total = ti.Matrix.zero(real, self.dim, self.dim)
         for t in range(self.start[i + 1] - self.start[i]):
@@ -112,6 +113,8 @@ class Solids(NeoHookean):
             d = ti.Vector.zero(real, self.dim)
             if ti.static(member == "x"):
                 d = ti.cast(ball[row.a].x - ball[i].x, real)
+            elif ti.static(member == "w"):
+                d = ti.cast(ball[row.a].w - ball[i].w, real)
             elif ti.static(member == "v"):
                 d = ti.cast(ball[row.a].v - ball[i].v, real)
             else:
@@ -122,6 +125,16 @@ class Solids(NeoHookean):
         return total
 
     @ti.func
+    def _rate(self, ball: ti.template(), law, gradient, real: ti.template()):
+        """Rate of the strain at the ball of a law [1/s], of which the symmetric part counts."""
+        change = self._averaged(ball, law.ball, "v", real) / self._volume(law)
+        rate = gradient.transpose() @ change
+        if ti.static(self.staged):
+            past = self._averaged(ball, law.ball, "w", real) / self._volume(law)
+            rate += ti.cast(self.half_step[0], real) * (past.transpose() @ past - change.transpose() @ change)
+        return rate
+
+    @ti.func
     def prepare(self, ball: ti.template()):
         """Stresses at each ball."""
         for node in range(self.count):
@@ -129,7 +142,7 @@ class Solids(NeoHookean):
             gradient = self._averaged(ball, law.ball, "x", ball.x.dtype) / self._volume(law)
             stress = self.stress_of(gradient, law) - law.own * gradient
             if ti.static(self.viscous):
-                rate = gradient.transpose() @ self._averaged(ball, law.ball, "v", float) / self._volume(law)
+                rate = self._rate(ball, law, gradient, float)
                 stress += law.viscosity * gradient @ (rate + rate.transpose())
             self.gradient[node], self.stress[node] = ti.cast(gradient, float), ti.cast(stress, float)
 
@@ -163,8 +176,7 @@ class Solids(NeoHookean):
         if ti.static(self.viscous):
             if row.a == i:
                 law = self.law[row.node]
-                gradient = self._averaged(ball, i, "x", real) / self._volume(law)
-                rate = gradient.transpose() @ self._averaged(ball, i, "v", real) / self._volume(law)
+                rate = self._rate(ball, law, self._averaged(ball, i, "x", real) / self._volume(law), real)
                 loss = 0.25 * self._volume(law) * law.viscosity * (rate + rate.transpose()).norm_sqr()
         return loss
 
@@ -178,7 +190,10 @@ class Solids(NeoHookean):
     def prepare_blocks(self, ball: ti.template(), s):
         """Principal axes at each ball."""
         for node in range(self.count):
-            self.find_axes(node, self.gradient[node], self.law[node])
+            law = self.law[node]
+            self.find_axes(node, self.gradient[node], law)
+            if ti.static(self.viscous):
+                self.note_drag(node, law.viscosity, self._rate(ball, law, self.gradient[node], float))
 
     @ti.func
     def prepare_product(self, ball: ti.template(), s):
@@ -190,7 +205,7 @@ class Solids(NeoHookean):
             if ti.static(self.viscous):
                 gradient = self.gradient[node]
                 rate = gradient.transpose() @ change
-                stress += s * law.viscosity * gradient @ (rate + rate.transpose())
+                stress += s * law.viscosity * gradient @ (rate + rate.transpose()) + s * s * change @ self.drag[node]
             self.stress[node] = stress
 
     @ti.func
@@ -210,6 +225,7 @@ class Solids(NeoHookean):
             along = gradient @ b
             wide = b.norm_sqr() * gradient @ gradient.transpose()
             block += s * law.viscosity * (wide + along.outer_product(along))
+            block += s * s * b.dot(self.drag[row.node] @ b) * ti.Matrix.identity(float, self.dim)
         block /= self._volume(law)
         if row.a == i:
             block += s * s * link * ti.Matrix.identity(float, self.dim)

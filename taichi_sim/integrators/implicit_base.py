@@ -30,8 +30,8 @@ class Implicit(Integrator):
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`, parts that
     move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how
     many of the `stages` run only in a step after `prime`. `ends`: when each stage ends, in steps since the step before.
-    `carries`: weight of what the stage before gave in the places where a stage ends; that of its own is 1. tolerance: of each
-    solution, see StageSolver.
+    `past_parts`: s w, see forces.incidence.Corners, over the way to where each stage begins. `carries`: weight of what the
+    stage before gave in the places where a stage ends; that of its own is 1. tolerance: of each solution, see StageSolver.
     """
 
     each_once = True
@@ -41,6 +41,7 @@ class Implicit(Integrator):
     part = 1.0
     ends: tuple[float, ...] = (1.0,)
     carries: tuple[float, ...] = (0.0,)
+    past_parts: tuple[float, ...] = (0.0,)
     takes_springs = True
     takes_gas = False
     tolerance = 1e-3

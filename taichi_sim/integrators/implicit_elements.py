@@ -19,9 +19,10 @@ __all__ = ["StageElements"]
 class StageElements:
     """Elements in a StageSolver: forces where the stage ends, what the matrix has of them, and the potential.
 
-    Fields: `there` (n), for each of the elements, x and v where the rest is worked out, p of a product; `step` [s] of the stage;
-    `time` [s] at its end. x is in double precision, but for elements of users: the rounding of places in single precision comes
-    to forces as large as those that stiff elements balance.
+    Fields: `there` (n), for each of the elements, x and v where the rest is worked out, w of the way to where the
+    stage begins, p of a product or of a change under test; `step` [s] of the stage;
+    `half_step`, half of it; `time` [s] at its end. x is in double precision, but for elements of users: the rounding of places
+    in single precision comes to forces as large as those that stiff elements balance.
     """
 
     def __init__(self, elements: Sequence[Any], model: Model, fields: Fields) -> None:
@@ -29,15 +30,16 @@ class StageElements:
         self.ties = np.concatenate([one.ties for one in elements])
         vector = ti.types.vector(self.dim, fields.real)
         kinds = [fields.wide if one.refined else fields.real for one in elements]
-        members = dict.fromkeys(("x", "v", "p"), vector)
+        members = dict.fromkeys(("x", "v", "w", "p"), vector)
         tables = {k: fields.table({**members, "x": ti.types.vector(self.dim, k)}, self.n) for k in dict.fromkeys(kinds)}
         self.tables, self.there = tuple(tables.values()), [tables[k] for k in kinds]
         self.all_refined = fields.real not in tables
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
-        self.step, self.time = fields.reals(1), fields.reals(1)
+        self.step, self.half_step, self.time = fields.reals(1), fields.reals(1), fields.reals(1)
         self.wide = fields.wide
         self.has_curvature = any(one.derivatives > 1 for one in elements)
         for one in elements:
+            one.staged, one.half_step = True, self.half_step
             one.allocate_derivatives(fields)
 
     def edges(self) -> NDArray[np.int32]:
@@ -52,6 +54,7 @@ class StageElements:
     def push(self, base: ti.template(), low: ti.template(), total: ti.template(), s):
         """total (n), padded, += s times the forces at base.x + low + s base.v."""
         self.step[0] = s
+        self.half_step[0] = 0.5 * s
         for i in range(self.n):
             self.place(i, base[i].x, low[i], base[i].v, s)
         for one, there in ti.static(zip(self.elements, self.there)):
@@ -86,6 +89,18 @@ class StageElements:
         for table in ti.static(self.tables):
             table[i].x = ti.cast(ti.cast(x, self.wide) + way, table.x.dtype)
             table[i].v = v
+
+    @ti.func
+    def note_past(self, i, w):
+        """Note the velocity w of the way that led ball i to where the stage begins [m/s], see forces.incidence.Corners."""
+        for table in ti.static(self.tables):
+            table[i].w = w
+
+    @ti.func
+    def note_change(self, i, way):
+        """Note the way [m] that the change under test made ball i go."""
+        for table in ti.static(self.tables):
+            table[i].p = way
 
     @ti.func
     def potential(self, i, s):

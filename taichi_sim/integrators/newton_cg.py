@@ -84,6 +84,7 @@ class StageSolver(Verdicts):
         self.model, self.springs = model, springs
         self.order, self.tolerance, stages = method.method.order, method.tolerance, method.stages
         self.state = method.state
+        self.past_parts = fields.reals(np.array(method.past_parts))
         self.n, self.dim = model.n, model.dim
         self.base = fields.table(phase_type(self.dim, fields.real), self.n)
         self.q, self.kick, self.first, self.low = (fields.vectors(self.n, self.dim) for _ in range(4))
@@ -97,8 +98,10 @@ class StageSolver(Verdicts):
         scene, width = model.scene, padded_blocks.width(self.dim)
         self.dv = fields.vectors(self.n, self.dim)
         self.last = fields.vectors(self.n * stages, self.dim)
-        self.ahead = fields.table(phase_type(width, fields.real), self.n)  # padded
         vector = ti.types.vector(width, fields.real)
+        self.damped = springs is not None and springs.damped
+        past = {"w": vector} if self.damped else {}
+        self.ahead = fields.table(phase_type(width, fields.real) | past, self.n)  # padded
         block = {"r": vector, "along": fields.real, "across": fields.real}
         self.spring_block = fields.table(block, 0 if springs is None else springs.entries)
         self.product = Product(self, fields)
@@ -378,8 +381,10 @@ class StageSolver(Verdicts):
         was found before."""
         if ti.static(self.has_elements):
             for i in range(self.n):
-                part = taken * ti.cast(self.number[self.bodies.of(i)].part, float)
+                whole = ti.cast(self.number[self.bodies.of(i)].part, float)
+                part = taken * whole
                 self.elements.place(i, self.base[i].x, self.low[i], self.base[i].v - part * self.dv[i], s)
+                self.elements.note_change(i, s * (whole - part) * self.dv[i])
         self.bodies.each_part(self._sum_potentials, (s, taken))
         if ti.static(self.inflated):
             self.gas.weigh(self, s, taken)
@@ -422,10 +427,13 @@ class StageSolver(Verdicts):
         if ti.static(self.has_springs):
             for k in range(self.potential_start[i], self.potential_start[i + 1]):
                 spring, j = self.springs.spring[self.potential_entry[k].spring], self.potential_entry[k].other
-                u, change = self.base[j].v - part * self.dv[j] - v, self.dv[j] - self.dv[i]
+                u, change = self.base[j].v - part * self.dv[j] - v, (whole - part) * (self.dv[j] - self.dv[i])
                 r = (self.base[j].x - self.base[i].x) + s * u
-                before = r - s * (whole - part) * change
-                phi += newton_terms.potential(r, u, before, spring, s, self.springs.damped)
+                before, closing = r - s * change, 0.0 * s
+                if ti.static(self.damped):
+                    w = padded_blocks.cut(self.ahead[j].w - self.ahead[i].w, self.dim)
+                    closing = newton_terms.closing(before, u - change, w, s, self.dim)
+                phi += newton_terms.potential(r, s * change, before, closing, spring, s, self.damped)
         return phi
 
     # Newton's iterations
@@ -439,6 +447,13 @@ class StageSolver(Verdicts):
             self.dv[i] = self.last[stage * self.n + i]
         self.free.add_change(self.dv, self.base, self.q)
         self.free.find_means(self.base, self.q)
+        if ti.static(self.damped or self.has_elements):
+            for i in range(self.n):
+                w = self.past_parts[stage] / s * self._shift(i)
+                if ti.static(self.damped):
+                    self.ahead[i].w = padded_blocks.pad(w, self.dim)
+                if ti.static(self.has_elements):
+                    self.elements.note_past(i, w)
         if ti.static(self.holds):
             for i in range(self.n):
                 self.base[i].v = self.held.choose(i, self.base[i].v, self._shift(i), self.dv[i], self.q[i], s, stage)

@@ -330,9 +330,8 @@ class Verdicts:
     @ti.func
     def larger(self, b):
         """1 if the change may have gone too far, so that half of it is worth a try, else 0: it raised the residual. It did
-        where it raised the potential too. The residual alone may rise where a stiff body rotates, the potential alone by
-        damping of elements, whose directions rotate. Such changes may follow each other without end, so late ones may not raise
-        the potential."""
+        where it raised the potential too. The residual alone may rise where a stiff body rotates. Such changes may follow each
+        other without end, so late ones may not raise the potential."""
         larger = (
             self.number[b].residual > self.number[b].residual_before or self.number[b].iterations > PATIENT_ITERATIONS
         )

@@ -39,6 +39,7 @@ class TRBDF2(Implicit):
     stages, opening = 3, 1
     part = 0.5 * GAMMA
     ends = (part, GAMMA, 1.0)
+    past_parts = (1.0, 1.0, 0.5 / MIDDLE)
     carries = (0.0, 0.0, MIDDLE)
     friction_part = 0.5
 

@@ -7,15 +7,40 @@ Array = np.ndarray
 ROUNDS = 200  # of Newton's method; its matrix leaves out the negative geometric stiffness, so it converges linearly
 
 
-def solve_stage(net: ref.Network, p: Array, q: Array, v: Array, s: float) -> Array:
-    """v with v = q + s w F(p + s v, v), from the guess v."""
+def damping_forces(net: ref.Network, x: Array, v: Array, s: float, e: Array) -> Array:
+    """(n, dim) N: c (d^2 / 2 - e) / (s d) n on ball i, the opposite on j; e (m,) m^2: d^2 / 2 where the stage starts. No
+    further from c u . n than half of c |u|."""
+    force = np.zeros_like(x)
+    for (i, j), c, start in zip(net.pairs, net.c, e):
+        n, d = ref.direction(x, i, j)
+        u = v[j] - v[i]
+        bound = 0.5 * np.linalg.norm(u)
+        rate = np.clip((0.5 * d * d - start) / (s * d), n @ u - bound, n @ u + bound)
+        force[i] += c * rate * n
+        force[j] -= c * rate * n
+    return force
+
+
+def squares(net: ref.Network, x: Array) -> Array:
+    """(m,) d^2 / 2 of each spring."""
+    return np.array([0.5 * float((x[j] - x[i]) @ (x[j] - x[i])) for i, j in net.pairs])
+
+
+def square_rates(net: ref.Network, x: Array, v: Array) -> Array:
+    """(m,) rate of d^2 / 2."""
+    return np.array([float((x[j] - x[i]) @ (v[j] - v[i])) for i, j in net.pairs])
+
+
+def solve_stage(net: ref.Network, p: Array, q: Array, v: Array, s: float, e: Array) -> Array:
+    """v with v = q + s w F(p + s v, v), from the guess v; e as in damping_forces."""
     dim = p.shape[1]
     free = np.repeat(net.w > 0, dim)
     m = np.repeat(1.0 / np.where(net.w > 0, net.w, 1.0), dim)
     v = v.copy()
     for _ in range(ROUNDS):
         x = p + s * v
-        r = m * (q - v).ravel() + s * ref.spring_forces(x, v, net.pairs, net.k, net.c, net.rest).ravel()
+        force = ref.spring_forces(x, v, net.pairs, net.k, 0.0 * net.c, net.rest) + damping_forces(net, x, v, s, e)
+        r = m * (q - v).ravel() + s * force.ravel()
         r[~free] = 0.0
         A = np.diag(m)
         for (i, j), k, c, rest in zip(net.pairs, net.k, net.c, net.rest):
@@ -38,7 +63,7 @@ def implicit_euler(net: ref.Network, x: Array, v: Array, h: float, steps: int) -
     """x + h v', v' = v + h a(x + h v', v')."""
     push = h * net.gravity * (net.w > 0)[:, None]
     for _ in range(steps):
-        v = solve_stage(net, x, v + push, v, h)
+        v = solve_stage(net, x, v + push, v, h, squares(net, x))
         x = x + h * v
     return x, v
 
@@ -49,13 +74,15 @@ def tr_bdf2(net: ref.Network, x: Array, v: Array, h: float, steps: int) -> tuple
     s, c = 0.5 * g * h, 1.0 / (g * (2.0 - g))
     push = net.gravity * (net.w > 0)[:, None]
     q = v + s * push
-    slope = (solve_stage(net, x, q, v, s) - q) / s
+    slope = (solve_stage(net, x, q, v, s, squares(net, x)) - q) / s
     for _ in range(steps):
-        middle = solve_stage(net, x + s * v, v + s * slope + g * h * push, v, s)
+        e = squares(net, x) + s * square_rates(net, x, v)
+        middle = solve_stage(net, x + s * v, v + s * slope + g * h * push, v, s, e)
         x_middle = x + s * (v + middle)
         p = c * x_middle + (1.0 - c) * x
         q = c * middle + (1.0 - c) * v + s * push
-        v = solve_stage(net, p, q, middle, s)
+        e = c * squares(net, x_middle) + (1.0 - c) * squares(net, x)
+        v = solve_stage(net, p, q, middle, s, e)
         x = p + s * v
         slope = (v - q) / s
     return x, v
