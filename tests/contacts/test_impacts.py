@@ -399,23 +399,25 @@ def test_unequal_piles_by_iterations_do_not_rest_inside_each_other():
 
 
 @pytest.mark.slow
-def test_neighbours_take_nothing_from_a_bounce():
-    """Spheres that roll side by side into a wall, touching each other and the floor, come back like one alone: with e."""
-    e, speed, radius = 0.6, 1.7, 0.07
+@pytest.mark.parametrize(("contacts", "e", "missing"), [("auto", 0.6, 0.01), ("jacobi", 0.4, 0.05)])
+def test_neighbours_take_nothing_from_a_bounce(contacts, e, missing):
+    """Spheres that roll side by side into a wall, touching each other and the floor, come back like one alone: with e. By Jacobi
+    (1 + e) (1 - 1 / 4)^16 = 0.014 of the speed is missing from the middle one, 0.035 of what e gives."""
+    speed, radius = 1.7, 0.07
     scene = ts.Scene(dim=3, gravity=(0.0, -G, 0.0))
     scene.add_material("wood", restitution=e, friction=0.25)
     scene.add_wall((0, 1, 0), 0.0, "wood")
     scene.add_wall((-1, 0, 0), -1.0, "wood")
     at = [(0.6, radius, 2 * radius * k) for k in range(3)] + [(0.6, radius, 1.0)]
     scene.add_balls(at, radius=radius, velocity=(speed, 0, 0), material="wood")
-    with simulate(scene, dt=1e-3) as sim:
+    with simulate(scene, dt=1e-3, contacts=contacts) as sim:
         rolls = sim.velocity
         while np.all(sim.velocity[:, 0] > 0.0):
             assert sim.time < 1.0
             rolls = sim.velocity
             sim.step(1)
         sim.step(2)
-        np.testing.assert_allclose(-sim.velocity[:, 0], e * rolls[:, 0], rtol=0.01)
+        np.testing.assert_allclose(-sim.velocity[:, 0], e * rolls[:, 0], rtol=missing)
 
 
 PILED, SIDE = 0.04, 0.4  # m: radius of the balls of a pile, width of its box
