@@ -37,10 +37,25 @@ def cross(n, p):
 
 
 @ti.func
+def tangent(n):
+    """The vector n turned by 90 degrees, in 2D."""
+    return ti.Vector([-n[1], n[0]])
+
+
+@ti.func
+def part_across(q, n):
+    """Part of the vector q at right angles to the unit vector n: a scalar along `tangent` in 2D."""
+    if ti.static(n.n == 2):
+        return tangent(n).dot(q)
+    else:
+        return q - q.dot(n) * n
+
+
+@ti.func
 def lever(s, n):
     """s x n, for a spin s that is a scalar in 2D."""
     if ti.static(n.n == 2):
-        return ti.Vector([-n[1], n[0]]) * s
+        return tangent(n) * s
     else:
         return s.cross(n)
 

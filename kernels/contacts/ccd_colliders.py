@@ -177,7 +177,7 @@ def allowance(walls: ti.template(), i, k, n, point, after, begin, settled, floor
         rests = True
         if ti.static(walls.colliders.rotates):  # what rotates takes a ball around a bend within the step
             sink = ROTATING_SINK * r
-    for s in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+    for s in range(walls.looked_at(i)):
         if walls.contact[i * walls.count + s].role == RESTING:
             m, base, beyond = walls.normal(i, s), point, far
             if s >= planes:

@@ -4,6 +4,7 @@ Impulses are accumulated: `accumulated` [N s] is what a contact got so far in th
 started with that."""
 
 from taichi_sim.kernels.trigonometry import arccosine, cosine
+from taichi_sim.kernels.vectors import part_across, tangent, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -35,16 +36,9 @@ def normal_impulse(u, target, mass, accumulated):
     """New total normal impulse [N s] of a contact: it reaches the target speed but never pulls.
 
     u: normal part of the relative velocity sum g_i v_i; mass: 1 / sum w_i g_i^2 s_i [kg]. For a lone contact this is the
-    exact law j = (target - u) / W whatever it accumulated.
+    exact law j = (target - u) / W whatever it accumulated. A soft one has SOFT_MASS of its mass, and only a part accumulated.
     """
     return ti.max(0.0, accumulated + (target - u) * mass)
-
-
-@ti.func
-def soft_impulse(u, target, mass, kept):
-    """New total normal impulse [N s] of a soft contact, which has `kept` of what it accumulated; `target` holds the push-out
-    speed as well. See `normal_impulse`."""
-    return ti.max(0.0, kept + (target - u) * (SOFT_MASS * mass))
 
 
 @ti.func
@@ -56,11 +50,17 @@ def further_impulse(model: ti.template(), law, n, u, slip, target, mass, tangent
     total = normal_impulse(u.dot(n), target, mass, impulse)
     p = (total - impulse) * n
     if ti.static(model.has_friction):
-        viscous = viscous_share(model, law, total, mass, threshold, u, time)
-        change, now = tangential_impulse(model, slip, n, tangential_mass, tangential, law.friction * total, viscous)
-        tangential = now
+        change, tangential = friction(model, law, n, u, slip, total, mass, tangential_mass, tangential, threshold, time)
         p += change
     return p, total, tangential
+
+
+@ti.func
+def friction(model: ti.template(), law, n, u, slip, total, mass, tangential_mass, tangential, threshold, time):
+    """Impulse [N s] of friction of a contact that has come to press with `total` [N s], and its new Coulomb part, a scalar along
+    the normal turned by 90 degrees in 2D. For the others see `further_impulse`."""
+    viscous = viscous_share(model, law, total, mass, threshold, u, time)
+    return tangential_impulse(model, slip, n, tangential_mass, tangential, law.friction * ti.max(0.0, total), viscous)
 
 
 @ti.func
@@ -95,7 +95,7 @@ def closing_speed(u, from_forces):
 def impact_impulse(model: ti.template(), law, n, u, forced, slip, mass, tangential_mass, threshold, time):
     """Impulse [N s] of an impact, of whose approach speed forces gave `forced` [m/s], see `rebound`: a row that has accumulated
     nothing and comes to the speed that is thrown back. For the others see `further_impulse`."""
-    before, none = u.dot(n), 0.0 * u
+    before, none = u.dot(n), zero_scalar_in_2d(u.n)
     target = before + rebound(law.restitution, before, forced)
     p, _total, _tangential = further_impulse(
         model, law, n, u, slip, target, mass, tangential_mass, 0.0 * mass, none, threshold, time
@@ -105,37 +105,35 @@ def impact_impulse(model: ti.template(), law, n, u, forced, slip, mass, tangenti
 
 @ti.func
 def tangential_impulse(model: ti.template(), slip, n, mass, accumulated, bound, viscous):
-    """Change of the tangential impulse and its new Coulomb part (a vector that may not exceed `bound`).
+    """Change of the tangential impulse, a vector, and its new Coulomb part, which may not exceed `bound` and is a scalar in 2D,
+    see `along_surface`.
 
     slip: relative velocity of the two surfaces. The share `viscous` = 1 - exp(-f t) of the sliding speed is taken first, then
     Coulomb friction opposes the rest; together they at most stop it.
     """
-    stop = (slip.dot(n) * n - slip) * mass
+    stop = -part_across(slip, n) * mass
     wanted = accumulated + stop
     if ti.static(model.has_viscous):
         wanted -= viscous * stop
-    square = wanted.dot(wanted)
-    if square > bound * bound:
-        wanted *= bound * ti.rsqrt(square)
+    if ti.static(n.n == 2):
+        wanted = ti.max(-bound, ti.min(bound, wanted))
+    else:
+        square = wanted.dot(wanted)
+        if square > bound * bound:
+            wanted *= bound * ti.rsqrt(square)
     change = wanted - accumulated
     if ti.static(model.has_viscous):
         change += viscous * stop
-    return change, wanted
+    return along_surface(n, change), wanted
 
 
 @ti.func
-def tangential_impulse_2d(model: ti.template(), slip, mass, accumulated, bound, viscous):
-    """Change of the tangential impulse and its new Coulomb part in 2D, where the one direction along the surface makes speed
-    and impulses scalars. See `tangential_impulse`."""
-    stop = -slip * mass
-    wanted = accumulated + stop
-    if ti.static(model.has_viscous):
-        wanted -= viscous * stop
-    wanted = ti.max(-bound, ti.min(bound, wanted))
-    change = wanted - accumulated
-    if ti.static(model.has_viscous):
-        change += viscous * stop
-    return change, wanted
+def along_surface(n, tangential):
+    """A tangential impulse as a vector: in 2D it is kept as a scalar along the normal turned by 90 degrees."""
+    if ti.static(n.n == 2):
+        return tangential * tangent(n)
+    else:
+        return tangential
 
 
 @ti.func
@@ -151,16 +149,6 @@ def tangential_mass_part(solver: ti.template(), i, j):
 
 
 @ti.func
-def presses(total, mass, threshold, u):
-    """True if a contact that presses with `total` [N s] has friction: more than rounding leaves where two bodies just part. u:
-    relative velocity.
-
-    Viscous friction does not fade with the normal impulse, so without this a rounded zero would switch it on or off.
-    """
-    return total > ti.max(1e-4 * threshold, 1e-6 * u.norm()) * mass
-
-
-@ti.func
 def decayed(a):
     """1 - exp(-a), by its series for small a, where the difference would lose its digits."""
     return ti.select(a < 0.02, a * (1.0 - a * (0.5 - a * (1.0 / 6.0 - a * (1.0 / 24.0 - a / 120.0)))), 1.0 - ti.exp(-a))
@@ -168,10 +156,14 @@ def decayed(a):
 
 @ti.func
 def viscous_share(model: ti.template(), law, total, mass, threshold, u, time):
-    """Part of the sliding speed that viscous friction takes in `time` seconds from a contact that presses with `total` [N s]."""
+    """Part of the sliding speed that viscous friction takes in `time` seconds from a contact that presses with `total` [N s].
+
+    Unlike Coulomb friction it does not fade with the normal impulse, so that a rounded zero would switch it on or off: none where
+    `total` is no more than rounding leaves where two bodies just part.
+    """
     share = 0.0 * mass
     if ti.static(model.has_viscous):
-        if presses(total, mass, threshold, u):
+        if time > 0.0 and total > ti.max(1e-4 * threshold, 1e-6 * u.norm()) * mass:
             share = decayed(law.viscous_friction * time)
     return share
 
@@ -203,6 +195,13 @@ def target_speed(before, forced, late_part, restitution, threshold, impacts: ti.
             elif before > threshold:  # the reverse of what a surface on the other side asks for
                 result = ti.min(0.0, bounced)
     return result
+
+
+@ti.func
+def target_until_touch(target, u, gap, bounces, rate):
+    """Target speed of a contact that is still `gap` [m] apart: within the step, of 1 / rate seconds, it may close the gap, but
+    not go on. What bounces keeps its speed u until it touches."""
+    return ti.min(target, ti.select(bounces, u, -gap * rate))
 
 
 @ti.func

@@ -69,7 +69,7 @@ def bounce(walls: ti.template(), i, n, law, v, a, threshold, h, remaining):
             sideways = walls.model.sideways(i)
         viscous = ti.select(-u > threshold, contact_law.decayed(law.viscous_friction * h), 0.0 * u)
         change, _ = contact_law.tangential_impulse(
-            walls.model, slip, n, sideways, 0.0 * v, law.friction * j, viscous
+            walls.model, slip, n, sideways, zero_scalar_in_2d(v.n), law.friction * j, viscous
         )  # of a unit mass
         after += change
         if ti.static(walls.model.spins):
@@ -173,7 +173,7 @@ def press(walls: ti.template(), i, v, a):
 
     Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
     """
-    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+    for k in range(walls.looked_at(i)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             v -= pressing_speed(walls, i, k, n, v) * n
@@ -184,7 +184,7 @@ def press(walls: ti.template(), i, v, a):
 @ti.func
 def record_pressed(walls: ti.template(), i, v):
     """Record for probes what `press` took of the velocity of ball i, which does not get it back where it met something."""
-    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+    for k in range(walls.looked_at(i)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             change = -pressing_speed(walls, i, k, n, v) * n

@@ -127,7 +127,7 @@ def fill_slot(walls: ti.template(), i, k, key, gap, n, point, h):
                 place = e
                 widest = at.slot[e].gap
         if place >= 0:
-            warm_start.forget(walls, i * walls.count + walls.planes.count + place - first)
+            warm_start.forget(walls.contact, i * walls.count + walls.planes.count + place - first, walls.model.dim)
     if place >= 0:
         at.slot[place].key = key
         at.slot[place].gap = gap
@@ -157,7 +157,7 @@ def forget_hidden(walls: ti.template(), x, i):
         if hidden >> s & 1 == 1:
             at.slot[first + s].gap = FAR_GAP
             at.slot[first + s].key = EMPTY
-            warm_start.forget(walls, i * walls.count + walls.planes.count + s)
+            warm_start.forget(walls.contact, i * walls.count + walls.planes.count + s, walls.model.dim)
     return number
 
 

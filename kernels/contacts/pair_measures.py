@@ -1,11 +1,10 @@
 """Measures of pairs at the present places, after a search: which pairs touch, their normals and depths, and the impulses they
 start with."""
 
-from taichi_sim.kernels.contacts import pair_impacts, touch_times
+from taichi_sim.kernels.contacts import pair_impacts, touch_times, warm_start
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
-from taichi_sim.kernels.contacts.pairs import forget, forget_impulse
-from taichi_sim.kernels.contacts.warm_start import start_from_load
+from taichi_sim.kernels.contacts.pairs import forget
 from taichi_sim.kernels.vectors import unit, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
@@ -110,27 +109,10 @@ def measure(solver: ti.template(), pairs: ti.template(), ball: ti.template(), i)
 def starting_impulse(solver: ti.template(), ball: ti.template(), i, j, e, n):
     """Impulse [N s] on ball i with which its contact with j in link e starts, along the present normal."""
     if ti.static(solver.plan.keeps_loads):
-        start_from_load(solver.pairs.link, solver, e, i, j)
-    accumulated = solver.pairs.link[e].impulse
+        warm_start.start_from_load(solver.pairs.link, solver, e, i, j)
     if ti.static(solver.pairs.has_rebounds and (solver.split or solver.plan.limits_energy)):
         if solver.pairs.link[e].rebound_speed > 0.0:
             # it bounced, nothing presses it together: a split mass could not take the impulse back
             if (ball[j].v - ball[i].v).dot(n) > 0.0:
-                accumulated = 0.0
-                forget_impulse(solver.pairs, e)
-    p = -accumulated * n
-    if ti.static(solver.model.has_friction):
-        tangential = solver.pairs.link[e].tangential_impulse
-        if ti.static(solver.model.dim == 2):
-            p -= tangential * tangent(n)
-        else:
-            tangential -= tangential.dot(n) * n
-            solver.pairs.link[e].tangential_impulse = tangential
-            p -= tangential
-    return p
-
-
-@ti.func
-def tangent(n):
-    """The normal turned by 90 degrees."""
-    return ti.Vector([-n[1], n[0]])
+                warm_start.forget(solver.pairs.link, e, solver.model.dim)
+    return -warm_start.kept_impulse(solver.pairs.link, e, n)

@@ -4,10 +4,9 @@ from typing import NamedTuple
 
 from taichi_sim.kernels.contacts import contact_law, pair_impacts
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
-from taichi_sim.kernels.contacts.pair_measures import tangent
 from taichi_sim.kernels.contacts.pair_sweeps import add, add_to_other, torque
 from taichi_sim.kernels.contacts.pairs import RIGID, law_of
-from taichi_sim.kernels.vectors import lever, zero_scalar_in_2d
+from taichi_sim.kernels.vectors import lever, product, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -107,36 +106,24 @@ def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin
             prepare(solver, i, j, c, n, how)
     total = normal_impulse(solver, i, j, c, u.dot(n), before, how)
     solver.pairs.link[c].impulse = ti.max(0.0, total)
-    p = (before - total) * n
+    p = (total - before) * n
     if ti.static(solver.model.has_friction):
-        mass = solver.pairs.contact[c].mass
-        tangential = solver.pairs.link[c].tangential_impulse
+        mass, tangential = solver.pairs.contact[c].mass, solver.pairs.link[c].tangential_impulse
         if ti.static(how.prepares and not solver.plan.warm_starts):
             tangential = tangential * 0.0
-        law = law_of(solver.pairs, i, j)
-        slip = 0.0 * mass
-        if ti.static(how.prepares):
-            slip = contact_law.viscous_share(solver.model, law, total, mass, solver.threshold[0], u, time)
-        arm = 0.0 * mass
-        if ti.static(solver.model.spins):
-            arm = solver.pairs.contact[c].arm
-            mass *= contact_law.tangential_mass_part(solver, i, j)
-        bound = law.friction * ti.max(0.0, total)
-        if ti.static(solver.model.dim == 2):
-            s = tangent(n).dot(u)
+        # pairs that only come near press with nothing: without this a pile in 3D takes 1.12 to 1.25 times as long
+        if total > 0.0 or product(tangential, tangential, solver.model.dim) > 0.0:
+            slip, tangential_mass = u, mass
             if ti.static(solver.model.spins):
-                s -= arm * (spin + solver.state.spin[j])
-            change, tangential = contact_law.tangential_impulse_2d(solver.model, s, mass, tangential, bound, slip)
-            solver.pairs.link[c].tangential_impulse = tangential
-            p -= change * tangent(n)
-        else:
-            if total > 0.0 or tangential.dot(tangential) > 0.0:
-                if ti.static(solver.model.spins):
-                    u -= arm * lever(spin + solver.state.spin[j], n)
-                change, tangential = contact_law.tangential_impulse(solver.model, u, n, mass, tangential, bound, slip)
-                p -= change
-            solver.pairs.link[c].tangential_impulse = tangential
-    return p
+                slip -= solver.pairs.contact[c].arm * lever(spin + solver.state.spin[j], n)
+                tangential_mass *= contact_law.tangential_mass_part(solver, i, j)
+            change, tangential = contact_law.friction(
+                solver.model, law_of(solver.pairs, i, j), n, u, slip, total, mass, tangential_mass, tangential,
+                solver.threshold[0], time,
+            )  # fmt: skip
+            p += change
+        solver.pairs.link[c].tangential_impulse = tangential
+    return -p
 
 
 @ti.func
@@ -177,7 +164,7 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         target = contact_law.target_speed(
             speed, forced, solver.plan.late_part, restitution, solver.threshold[0], how.impacts
         )
-        fast = contact_law.closing_speed(speed, forced) > solver.threshold[0]  # an impact: never soft
+        fast = contact_law.is_impact(speed, forced, solver.threshold[0])  # never soft
         if ti.static(not how.impacts):  # nor for the one iteration that ends a step, which would throw it back
             target = ti.select(fast, speed, target)
         rebound, bias = 0.0 * speed, RIGID + 0.0 * speed
@@ -185,8 +172,9 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
             rebound = ti.select(fast and target > 0.0, target, rebound)
         if ti.static(solver.plan.soft):
             depth = solver.pairs.contact[c].depth
-            if depth <= 0.0:  # it may close the gap, but not go on; what bounces does so when it touches
-                target = ti.min(target, ti.select(fast and restitution > 0.0, speed, depth * solver.rate[0]))
+            if depth <= 0.0:
+                bounces = fast and restitution > 0.0
+                target = contact_law.target_until_touch(target, speed, -depth, bounces, solver.rate[0])
                 rebound = 0.0
             elif not fast:
                 bias = push_out_speed(solver, depth)
@@ -216,7 +204,8 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
     touches: they would take its energy."""
     depth = solver.pairs.contact[c].depth
     speed = (solver.velocity_before[j] - solver.velocity_before[i]).dot(n)
-    fast = speed + ti.max(0.0, pair_impacts.approach_from_forces(solver, i, j, n)) < -solver.threshold[0]
+    forced = pair_impacts.approach_from_forces(solver, i, j, n)
+    fast = contact_law.is_impact(speed, forced, solver.threshold[0])
     mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
     if ti.static(not how.impacts):
         mass = ti.select(fast, 0.0, mass)
@@ -261,7 +250,7 @@ def normal_impulse(solver: ti.template(), i, j, c, u, before, how: ti.template()
             kept = contact_law.SOFT_MASS * before
             if ti.static(how.yields_to_loads_only):
                 kept = before - contact_law.SOFT_LEAK * pair_impacts.load_of(solver, i, j, c, before)
-            total = contact_law.soft_impulse(u, target + bias, mass, kept)
+            total = contact_law.normal_impulse(u, target + bias, contact_law.SOFT_MASS * mass, kept)
     return total
 
 

@@ -4,10 +4,10 @@ A pair is listed by that of its balls which comes first in the sorted grid. Iter
 blocks that are longer than any pair reaches: see pair_sweeps. Where each ball gathers what it gets, both list it.
 """
 
+from taichi_sim.kernels.contacts import warm_start
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
-from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -139,21 +139,11 @@ def keep_colliding(pairs: ti.template(), own, at, found):
 @ti.func
 def forget(pairs: ti.template(), e):
     """Link e has accumulated nothing."""
-    forget_impulse(pairs, e)
+    warm_start.forget(pairs.link, e, pairs.model.dim)
     if ti.static(pairs.plan.soft):
         pairs.link[e].bias_velocity = RIGID
     if ti.static(pairs.has_rebounds):
         pairs.link[e].rebound_speed = 0.0
-
-
-@ti.func
-def forget_impulse(pairs: ti.template(), e):
-    """Link e starts from nothing."""
-    pairs.link[e].impulse = 0.0
-    if ti.static(pairs.plan.keeps_loads):
-        pairs.link[e].load = 0.0
-    if ti.static(pairs.model.has_friction):
-        pairs.link[e].tangential_impulse = zero_scalar_in_2d(pairs.model.dim)
 
 
 @ti.func

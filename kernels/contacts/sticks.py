@@ -173,9 +173,8 @@ def list_contacts(s, sticks: ti.template(), ball: ti.template()):
         measure(sticks, ball, c)
         count_entries(c, sticks)
         if ti.static(sticks.plan.warm_starts):
-            n = sticks.contact[c].normal
-            sticks.contact[c].last_speed = sticks.relative_velocity(ball, c).dot(n)
-            warm_start.recall(sticks, s, c, n)
+            sticks.contact[c].last_speed = sticks.relative_velocity(ball, c).dot(sticks.contact[c].normal)
+            warm_start.recall(sticks, s, c)
     sticks.begin[s], sticks.length[s] = first, found
 
 

@@ -43,7 +43,7 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
     through."""
     bounced = 0
     if walls.crowded[i] != BALL_ALONE and walls.model.inverse_mass[i] > 0.0:
-        for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+        for k in range(walls.looked_at(i)):
             n = walls.normal(i, k)
             u = walls.relative(ball[i].v, i, k)
             forced = approach_from_forces(walls, solver, i, n)
@@ -72,7 +72,7 @@ def bounce(walls: ti.template(), ball: ti.template(), solver: ti.template(), i, 
 def limit(walls: ti.template(), solver: ti.template(), i):
     """Limit what the walls of ball i accumulated in an impact to what may be a load."""
     if walls.crowded[i] != BALL_ALONE:
-        for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+        for k in range(walls.looked_at(i)):
             c = i * walls.count + k
             if walls.is_solved(c):
                 most = largest_load(solver, walls.contact[c].starting_impulse, i, i)
@@ -82,7 +82,7 @@ def limit(walls: ti.template(), solver: ti.template(), i):
 @ti.func
 def note(walls: ti.template(), i):
     """Note what the walls of ball i accumulated before an iteration."""
-    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+    for k in range(walls.looked_at(i)):
         walls.contact[i * walls.count + k].previous_impulse = walls.contact[i * walls.count + k].impulse
 
 
@@ -93,7 +93,7 @@ def changed(walls: ti.template(), i):
     p = ti.Vector.zero(float, walls.model.dim)
     longest = UNBOUNDED_EXTENSION + 0.0 * walls.model.radius[i]
     work = 0.0 * walls.model.radius[i]
-    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+    for k in range(walls.looked_at(i)):
         contact = walls.contact[i * walls.count + k]
         if walls.is_solved(i * walls.count + k):
             change = last_change(walls.contact, i * walls.count + k, contact.impulse)
@@ -108,7 +108,7 @@ def changed(walls: ti.template(), i):
 @ti.func
 def extend(walls: ti.template(), i, times):
     """Add to what the walls of ball i accumulated `times` what the iteration added."""
-    for k in range(ti.select(walls.touching[i] > 0, walls.count, 0)):
+    for k in range(walls.looked_at(i)):
         c = i * walls.count + k
         if walls.is_solved(c):
             now = walls.contact[c].impulse

@@ -6,6 +6,8 @@ stick has its own.
 """
 
 from taichi_sim.kernels.contacts.contact_incidence import each_contact
+from taichi_sim.kernels.contacts.contact_law import along_surface
+from taichi_sim.kernels.vectors import part_across, zero_scalar_in_2d
 
 from taichi_sim.device.engine import ti
 
@@ -71,25 +73,38 @@ def store_contact(c, sticks: ti.template()):
 
 
 @ti.func
-def forget(contacts: ti.template(), c):
-    """Clear what contact c of sticks, triangles or walls has accumulated."""
-    contacts.contact[c].impulse = 0.0
-    if ti.static("load" in contacts.contact.keys):
-        contacts.contact[c].load = 0.0
-    if ti.static(contacts.model.has_friction):
-        contacts.contact[c].tangential_impulse = ti.Vector.zero(float, contacts.model.dim)
+def forget(table: ti.template(), c, dim: ti.template()):
+    """Clear what contact c of a table has accumulated."""
+    table[c].impulse = 0.0
+    if ti.static("load" in table.keys):
+        table[c].load = 0.0
+    if ti.static("tangential_impulse" in table.keys):
+        table[c].tangential_impulse = zero_scalar_in_2d(dim)
 
 
 @ti.func
-def recall(sticks: ti.template(), s, c, n):
-    """Restore to contact c of stick s, with the normal n, what it had accumulated under the last list."""
-    forget(sticks, c)
+def kept_impulse(table: ti.template(), c, n):
+    """Impulse [N s] with which contact c of a table starts: what it accumulated along its normal n, which has turned since, and
+    along its surface."""
+    p = table[c].impulse * n
+    if ti.static("tangential_impulse" in table.keys):
+        tangential = table[c].tangential_impulse
+        if ti.static(n.n == 3):
+            tangential = part_across(tangential, n)
+            table[c].tangential_impulse = tangential
+        p += along_surface(n, tangential)
+    return p
+
+
+@ti.func
+def recall(sticks: ti.template(), s, c):
+    """Restore to contact c of stick s what it had accumulated under the last list."""
+    forget(sticks.contact, c, sticks.model.dim)
     for e in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
         if sticks.old[e].other == sticks.contact[c].ball:
             sticks.contact[c].impulse = sticks.old[e].impulse
             if ti.static(sticks.model.has_friction):
-                tangential = sticks.old[e].tangential_impulse
-                sticks.contact[c].tangential_impulse = tangential - tangential.dot(n) * n
+                sticks.contact[c].tangential_impulse = sticks.old[e].tangential_impulse
 
 
 @ti.func
@@ -97,13 +112,11 @@ def start(contacts: ti.template(), solver: ti.template(), c, u, n):
     """Contact c, whose speed along the normal is u, starts with what it accumulated; nothing presses any more what leaves
     fast."""
     if ti.static(not contacts.warm_starts) or u > solver.threshold[0]:
-        forget(contacts, c)
+        forget(contacts.contact, c, contacts.model.dim)
     if ti.static(contacts.warm_starts):
         contacts.contact[c].starting_impulse = contacts.contact[c].impulse
         contacts.contact[c].gained_speed = ti.max(solver.threshold[0], contacts.contact[c].last_speed - u)
-        contacts.applied_impulse[c] = contacts.contact[c].impulse * n
-        if ti.static(contacts.model.has_friction):
-            contacts.applied_impulse[c] += contacts.contact[c].tangential_impulse
+        contacts.applied_impulse[c] = kept_impulse(contacts.contact, c, n)
 
 
 @ti.func

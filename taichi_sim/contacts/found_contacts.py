@@ -277,7 +277,7 @@ class FoundContacts:
                     pair_measures.measure(self, self.pairs, ball, i)
                 self._measure_walls(ball, i)
                 if ti.static(self.shares_mass):
-                    self._share_mass(ball, i)
+                    self._share_mass(i)
         else:
             if ti.static(self.plan.pairs):
                 if ti.static(self.plan.warm_starts or self.counts_pairs or self.plan.impacts_in_turn):
@@ -294,7 +294,7 @@ class FoundContacts:
                 self.velocity_when_found[i] = ball[i].v
         if ti.static(self.shares_mass and not self.plan.gathers):
             for i in range(self.n):
-                self._share_mass(ball, i)
+                self._share_mass(i)
 
     @ti.func
     def _measure_walls(self, ball: ti.template(), i):
@@ -305,7 +305,7 @@ class FoundContacts:
             self.walls.measure(ball, self, i, crowded)
 
     @ti.func
-    def _share_mass(self, ball: ti.template(), i):
+    def _share_mass(self, i):
         """Split the mass of ball i, by the sums of n n^T and of 1 over all that is accumulated from old velocities: in turn those
         are only sticks and triangles, whose weights count."""
         T, count = ti.Matrix.zero(float, self.model.dim, self.model.dim), 0.0 * self.model.inverse_mass[i]
@@ -314,9 +314,9 @@ class FoundContacts:
             if ti.static(self.splits_by_direction):
                 T = self.normal_tensor[i]
         if ti.static(self.plan.walls and self.split):
-            t, c = self.walls.shares(ball, i)
+            t, _ = self.walls.sum_of_solved(i)
             T += t
-            count += c
+            count += self.walls.touching[i]
         if ti.static(not self.sums_plainly):
             for part in ti.static(self.sticks_and_triangles):
                 t, c = part.shares(i)

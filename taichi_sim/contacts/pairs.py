@@ -50,8 +50,7 @@ class Pairs:
         vector = ti.types.vector(model.dim, fields.real)
         columns = {"other": ti.i32, "impulse": fields.real}  # the ball that does not list it; N s
         if model.has_friction:
-            # [N s], in 2D along the normal turned by 90 degrees
-            columns["tangential_impulse"] = fields.real if model.dim == 2 else vector
+            columns["tangential_impulse"] = fields.tangential(model.dim)  # N s
         if plan.soft:
             columns["bias_velocity"] = fields.real  # m/s, with which overlap is pushed out, or RIGID
         if self.has_rebounds:

@@ -44,7 +44,7 @@ class Walls(Surfaces):
         # impulse: along the normal [N s]; target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
         columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
         if model.has_friction:
-            columns["tangential_impulse"] = ti.types.vector(model.dim, fields.real)  # N s
+            columns["tangential_impulse"] = fields.tangential(model.dim)  # N s
         if plan.keeps_loads:
             columns["load"] = fields.real  # N s, the part of the impulse that is no impact's, as far as it is known
         if plan.walls_in_turn:  # [N s] before the solve, and before the last iteration
@@ -108,6 +108,11 @@ class Walls(Surfaces):
         return role
 
     @ti.func
+    def looked_at(self, i):
+        """Number of contacts of ball i to look at: none where it touches no surface."""
+        return ti.select(self.touching[i] > 0, self.count, 0)
+
+    @ti.func
     def is_solved(self, c):
         """True if contact c is a constraint of the solve."""
         return self.contact[c].role != LEAVING and self.contact[c].role != ARRIVING
@@ -116,9 +121,7 @@ class Walls(Surfaces):
     def measure(self, ball: ti.template(), solver: ti.template(), i, crowded):
         """Find the walls that ball i touches, or may be pushed to; one that it left has accumulated nothing. crowded: it
         touches other balls."""
-        count = 0
-        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
-        solving = 0
+        count, parts = 0, 0.0 * self.model.radius[i] + 1.0
         facing, normals = 0.0 * self.model.radius[i], ti.Vector.zero(float, self.model.dim)
         # A ball that touched no plane has forgotten all of them. With colliders a place may have gone to another one since.
         touched = True
@@ -146,35 +149,29 @@ class Walls(Surfaces):
                 self.contact[c].role = self._role(gap, u, touch, crowded, arrives)
                 if ti.static(self.plan.keeps_loads):
                     self._start_from_load(solver, i, c, crowded)
-                if self.is_solved(c):
-                    n = self.normal(i, k)
-                    T += n.outer_product(n)
-                    solving += 1
             elif touched:
-                warm_start.forget(self, c)
+                warm_start.forget(self.contact, c, self.model.dim)
                 self.contact[c].role = LEAVING
         self.touching[i] = count
         self.facing[i] = facing
         if ti.static(not self.has_colliders):
             self.clearance[i] = clearance
         if count > 1:
-            T, solving = self._stop_arrivals(i, T, solving)
-        self.mass_parts[i] = contact_law.share(T, solving, not self.model.has_friction)
+            self._stop_arrivals(i)
+            T, number = self.sum_of_solved(i)
+            parts = contact_law.share(T, number, not self.model.has_friction)
+        self.mass_parts[i] = parts
         if ti.static(self.plan.walls_in_turn):
             self.crowded[i] = ti.select(crowded, ti.select(fast, BALL_ARRIVING, BALL_CROWDED), BALL_ALONE)
 
     @ti.func
-    def _stop_arrivals(self, i, T, solving):
+    def _stop_arrivals(self, i):
         """Leave arrivals of ball i, which touches several surfaces, to the solve where they do not bounce: the move would throw
-        it from one to the other. Sum of n n^T over the surfaces that are solved, and their number, from those so far."""
+        it from one to the other."""
         for k in range(self.count):
             if self.contact[i * self.count + k].role == ARRIVING:
                 if self.law(i, k).restitution == 0.0:
                     self.contact[i * self.count + k].role = RESTING
-                    n = self.normal(i, k)
-                    T += n.outer_product(n)
-                    solving += 1
-        return T, solving
 
     @ti.func
     def foresee(self, i, k):
@@ -190,20 +187,21 @@ class Walls(Surfaces):
         """Forget contact k of ball i where a solve that ended a step had it reached, and it is not touched."""
         c = i * self.count + k
         if self.contact[c].role == RESTING and gap > self.touch(self.state.ball[i].x, i, k):
-            warm_start.forget(self, c)
+            warm_start.forget(self.contact, c, self.model.dim)
             self.contact[c].role = LEAVING
             self.touching[i] = self.touching[i] - 1
             self.mass_parts[i] = ti.max(1.0, self.mass_parts[i] - 1.0)
 
     @ti.func
-    def shares(self, ball: ti.template(), i):
-        """Sum of n n^T over the walls that ball i touches, and their number."""
-        T = ti.Matrix.zero(float, self.model.dim, self.model.dim)
-        for k in range(ti.select(self.touching[i] > 0, self.count, 0)):
+    def sum_of_solved(self, i):
+        """Sum of n n^T over the walls of ball i that are solved, and their number."""
+        T, number = ti.Matrix.zero(float, self.model.dim, self.model.dim), 0
+        for k in range(self.looked_at(i)):
             if self.is_solved(i * self.count + k):
                 n = self.normal(i, k)
                 T += n.outer_product(n)
-        return T, self.touching[i]
+                number += 1
+        return T, number
 
     @ti.func
     def _start_from_load(self, solver: ti.template(), i, c, crowded):
@@ -223,7 +221,7 @@ class Walls(Surfaces):
             crowded = self.crowded[i] != BALL_ALONE
         if ti.static(self.probed and starts):
             self.received.note(i)
-        for k in range(ti.select(self.touching[i] > 0, self.count, 0)):
+        for k in range(self.looked_at(i)):
             c = i * self.count + k
             gap = self.gap(ball[i].x, i, k)
             touch = self.touch(ball[i].x, i, k)
@@ -241,7 +239,7 @@ class Walls(Surfaces):
                 role = self._role(gap, u, touch, crowded, self.contact[c].role >= SUNK)
                 # what leaves fast has bounced: nothing presses it any more, and the impulse would push it once again
                 if u > self.threshold[0] or role >= SUNK or ti.static(not solver.plan.warm_starts):
-                    warm_start.forget(self, c)
+                    warm_start.forget(self.contact, c, self.model.dim)
                 e = self.law(i, k).restitution
                 before = ti.select(crowded or role == SUNK, u, ti.max(0.0, u))  # alone, what approaches is pressed
                 forced = 0.0 * u
@@ -260,18 +258,15 @@ class Walls(Surfaces):
                     if target == 0.0 and self.is_solved(c) and role != REACHABLE:
                         slides = v
                         if ti.static(self.model.has_friction):  # else what friction stops would be lifted off a hollow
-                            slides += self.model.inverse_mass[i] * self.contact[c].tangential_impulse
+                            slides += self.model.inverse_mass[i] * contact_law.along_surface(
+                                n, self.contact[c].tangential_impulse
+                            )
                         target = self.following(ball[i].x, slides, i, k, 1.0 / solver.rate[0])
                         if ti.static(self.foresees):  # stages end there, too
                             target -= ti.max(0.0, gap) * solver.rate[0]
                 self.contact[c].target = target + lost
                 if ti.static(starts):
-                    p = self.contact[c].impulse * n
-                    if ti.static(self.model.has_friction):  # along a round surface the normal has turned since
-                        tangential = self.contact[c].tangential_impulse
-                        tangential -= tangential.dot(n) * n
-                        self.contact[c].tangential_impulse = tangential
-                        p += tangential
+                    p = warm_start.kept_impulse(self.contact, c, n)
                     if ti.static(self.probed):
                         self.record(i, k, p)
                     solver.apply(i, p, -cross(n, p))
@@ -350,7 +345,7 @@ class Walls(Surfaces):
         elif ti.static(not (solver.in_turn or solver.sums_plainly)):
             mass /= self.mass_parts[i]
         u = self.relative(v, i, k)
-        slip, tangential, tangential_mass = u, 0.0 * u, mass
+        slip, tangential, tangential_mass = u, zero_scalar_in_2d(self.model.dim), mass
         if ti.static(self.model.has_friction):
             tangential = contact.tangential_impulse
             if ti.static(solver.model.spins):

@@ -76,7 +76,7 @@ class WeightedContacts:
 
     @ti.func
     def begin_contact(self, c, ball: ti.template(), solver: ti.template(), impacts: ti.template()):
-        """Fix the target speed of contact c, and what it starts with. What is apart may close the gap, but not go on."""
+        """Fix the target speed of contact c, and what it starts with."""
         if self.thickness(c) >= 0.0:
             n = self.contact[c].normal
             u = self.relative_velocity(ball, c).dot(n)
@@ -87,9 +87,9 @@ class WeightedContacts:
                 u, forced, solver.plan.late_part, restitution, solver.threshold[0], impacts
             )
             gap = self.contact[c].distance - self.thickness(c)
-            if gap > 0.0:  # what bounces does so when it touches
+            if gap > 0.0:
                 bounces = restitution > 0.0 and contact_law.is_impact(u, forced, solver.threshold[0])
-                target = ti.min(target, ti.select(bounces, u, -gap * solver.rate[0]))
+                target = contact_law.target_until_touch(target, u, gap, bounces, solver.rate[0])
             self.contact[c].target = target
             warm_start.start(self, solver, c, u, n)
 
@@ -110,7 +110,7 @@ class WeightedContacts:
         """Further impulse [N s] of contact c from the relative velocity u [m/s], which has `applied` of this iteration in it but
         not in spins. inverse: `inverse_mass` [1/kg]. Viscous friction acts for `time` seconds."""
         contact = self.contact[c]
-        n, mass, tangential = contact.normal, 1.0 / inverse, 0.0 * u
+        n, mass, tangential = contact.normal, 1.0 / inverse, zero_scalar_in_2d(self.model.dim)
         slip, tangential_mass = u, mass
         if ti.static(self.model.has_friction):
             tangential = contact.tangential_impulse

@@ -154,6 +154,10 @@ class Fields:
         """n zero spins: a scalar each in 2D, a vector in 3D."""
         return self.reals(n) if dim == 2 else self.vectors(n, 3)
 
+    def tangential(self, dim: int) -> Any:
+        """Type of a vector along a surface: a scalar in 2D, along the normal turned by 90 degrees."""
+        return self.real if dim == 2 else ti.types.vector(3, self.real)
+
     def integers(self, data: int | NDArray) -> Any:
         """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
         n = data if isinstance(data, int) else len(data)
