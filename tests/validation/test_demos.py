@@ -80,10 +80,10 @@ def _nothing_pierces_itself(sim):
         assert len(crossings(x, shown.triangles)) == 0, f"frame {k}"
 
 
-@pytest.mark.parametrize("name", ["drum", "net"])
+@pytest.mark.parametrize("name", ["drum", "net", "million"])
 def test_balls_of_a_pile_do_not_overlap_at_the_start(name):
     """Balls that overlap fly apart, with energy that nothing gave them."""
-    scene = open_scene(DEMOS[name])
+    scene = open_scene(DEMOS[name], parameters={"layers": 2} if name == "million" else {})
     loose = np.setdiff1d(np.arange(scene.n_balls), scene.pairs)
     x, r = np.asarray(scene.position)[loose], np.asarray(scene.radius)[loose]
     near = cKDTree(x).query_pairs(2.2 * r.max(), output_type="ndarray")
