@@ -18,7 +18,7 @@ def scene(friction=0.02, layers=4):
     for k, colour in enumerate(((0.75, 0.35, 0.25), (0.92, 0.7, 0.35), (0.3, 0.5, 0.55), (0.9, 0.86, 0.78))[:layers]):
         place = (1.5 * RADIUS, HIGH * k + 1.5 * RADIUS, 1.5 * RADIUS)
         ts.shapes.pile(
-            scene, LAYER, RADIUS, mass=0.004, jitter=0.5, seed=k, material="marble", colour=colour, position=place
+            scene, LAYER, RADIUS, mass=0.004, jitter=0.1, seed=k, material="marble", colour=colour, position=place
         )
     side = 0.6 * WIDE
     ts.shapes.cloth(

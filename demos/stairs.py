@@ -20,7 +20,7 @@ def body(p):
     return -np.log(sum(np.exp(14 - 14 * np.linalg.norm((p - c) / r, axis=-1)) for c, r in map(np.array, parts)))
 
 
-def scene(young_modulus=1e6, poisson_ratio=0.4, friction=0.5, speed=2.6):
+def scene(young_modulus=2e6, poisson_ratio=0.4, friction=0.5, speed=2.6):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     scene.output = {"fps": 60, "duration": 4, "size": (1280, 720)}
     scene.add_material("jelly", restitution=0.1, friction=friction)
@@ -36,7 +36,7 @@ def scene(young_modulus=1e6, poisson_ratio=0.4, friction=0.5, speed=2.6):
         young_modulus=young_modulus,
         poisson_ratio=poisson_ratio,
         spacing=0.08,
-        radius=0.045,
+        radius=0.04,
         self_collision=True,
         material="jelly",
         position=(-0.2, RISE * STEPS + 0.35, 0),
