@@ -64,6 +64,7 @@ class Page:
             part = self.parts.setdefault(name, {})
             part.update({"type": one["type"]} if "props" in one else {})
             part.update(one.get("props") or one.get("updates") or {})
+            part.update({"visible": one["visible"]} if "visible" in one else {})
             part.setdefault("updates", 0)
             part["updates"] += 1
 
