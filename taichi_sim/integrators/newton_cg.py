@@ -509,7 +509,6 @@ class StageSolver(Verdicts):
     @ti.func
     def _count_iteration(self, b):
         """The numbers with which an iteration starts."""
-        self.force(b)
         self.number[b].residual_before = self.number[b].residual
         self.number[b].moved_before = self.number[b].moved
         self.number[b].moved = 0.0

@@ -30,7 +30,6 @@ MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
 DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
-LOOSEST_TERM = 0.3  # the same, where the iteration before lost as much to that
 GAIN_WINDOW = 0.1  # part of the iterations so far, the last ones, whose gains tell what is left
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
@@ -41,9 +40,6 @@ FINER_TARGET = 0.3  # of a squared residual that still gave too much
 LEFT_OUT = 0.01  # of what surfaces bear, of momentum
 WRONG_FRICTION = 0.05  # of the same
 MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
-NOT_MOVED = 1e300  # in place of a change, where there was none since that was renewed
-EARLY_RELEASES = 4  # of those, before the stage is solved
-EARLY_RESIDUAL = 0.1  # squared residual, of the scale, at which they begin
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
 # What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
@@ -67,8 +63,7 @@ NUMBERS = (
         "residual_before",
         "moved",
         "moved_before",
-        "forcing",
-    ),  # before the change; of the change of this iteration and the last one; squared part that conjugate gradients may leave
+    ),  # before the change; of the change of this iteration and the last one
     *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last ones gained; see `search`
     *("allowed", "target"),  # part of the scale that the residual may become, and that
     *("iterations", "searches"),  # so many of either kind
@@ -147,7 +142,7 @@ class Verdicts:
         self.number[b].iterations = 0.0
         self.number[b].passes = 0.0
         self.number[b].searches = 0.0
-        self.number[b].moved = NOT_MOVED
+        self.number[b].moved = 1e300
         self.number[b].flies = 0.0
         self.number[b].change = 1.0
         self.number[b].part = 1.0
@@ -191,9 +186,6 @@ class Verdicts:
         self.number[b].target = scale * self.number[b].allowed
         if self.unsolved(b) == 1:
             self.number[b].phase = READY
-            if ti.static(self.holds):
-                if self.releases_early(b):
-                    self.number[b].phase = HELD
         elif ti.max(scale, before) > OLD_BLOCKS * ti.min(scale, before) and self.number[b].iterations < MOST_ITERATIONS:
             self.number[b].phase = WITHDRAWN
         else:
@@ -203,26 +195,18 @@ class Verdicts:
                     self.number[b].phase = HELD
 
     @ti.func
-    def releases_early(self, b):
-        """True if what surfaces do to body b is looked at before it is solved: to solve for what they do not do is in vain."""
-        few = self.number[b].near > 0.0 and self.number[b].releases < EARLY_RELEASES
-        small = self.number[b].residual < EARLY_RESIDUAL * self.number[b].scale
-        return few and small and self.number[b].moved < NOT_MOVED
-
-    @ti.func
     def amiss(self, b, pull, wrong):
         """True if surfaces have impulses of this size [J] on body b that they cannot give, or lack them, more than the residual
-        may be, or of an unsolved one is, or friction that they cannot give [N s], of a part of what they bear."""
-        left = ti.min(self.number[b].residual, self.number[b].moved)
-        return pull > ti.max(self.number[b].target, left) or wrong > WRONG_FRICTION * self.number[b].borne
+        may be, or friction that they cannot give [N s], of a part of what they bear."""
+        return pull > self.number[b].target or wrong > WRONG_FRICTION * self.number[b].borne
 
     @ti.func
     def judge_pull(self, b, pull, wrong):
         """The phase of body b: where impulses of surfaces are `amiss`, it goes on with others."""
-        self.number[b].phase = ti.select(self.unsolved(b) == 1, READY, SOLVED)
+        self.number[b].phase = SOLVED
         if self.amiss(b, pull, wrong):
             self.number[b].phase = WITHDRAWN
-            self.number[b].moved = NOT_MOVED
+            self.number[b].moved = 1e300
             self.number[b].releases += 1.0
 
     @ti.func
@@ -318,23 +302,13 @@ class Verdicts:
         self.number[b].gain = kept * self.number[b].gain + gain
 
     @ti.func
-    def force(self, b):
-        """Set the part that conjugate gradients may leave, squared: as much as the iteration before left of its residual, for
-        what is not linear would spoil a better change (Eisenstat and Walker, 1996)."""
-        forcing = ti.cast(FORCING_TERM**2, self.wide)
-        if self.number[b].iterations > 0.0:
-            left = self.number[b].residual / ti.max(self.number[b].residual_before, 1e-300)
-            forcing = ti.min(ti.max(forcing, left), LOOSEST_TERM**2)
-        self.number[b].forcing = forcing
-
-    @ti.func
     def searching(self, b):
         """1 if the search is to go on, else 0: by what the last iterations gained, which sees the slow modes that the residual
         hides.
 
         What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952).
         """
-        goal = ti.max(self.number[b].forcing * self.number[b].moved, 0.1 * self.number[b].target)
+        goal = ti.max(FORCING_TERM**2 * self.number[b].moved, 0.1 * self.number[b].target)
         searches = self.number[b].searches
         more = (self.number[b].gain > goal or searches < 2.0) and self.number[b].rz > 0.0
         return ti.cast(more and searches < MOST_SEARCHES, ti.i32)

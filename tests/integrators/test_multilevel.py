@@ -152,24 +152,3 @@ def test_levels_save_passes(monkeypatch):
     print([passes for passes, _ in found])
     assert found[0][0] < 0.6 * found[1][0]
     assert found[0][1] == pytest.approx(found[1][1], abs=1e-3)
-
-
-@pytest.mark.slow
-def test_a_sheet_that_folds_over_a_sphere_is_solved_in_few_passes():
-    """Which balls rest on it was renewed only after a solution, and changes that folds spoil were solved for too well."""
-    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
-    scene.add_material("cloth", friction=0.2)
-    fabric = {"mass_per_area": 0.15, "stretch_stiffness": 500.0, "shear_stiffness": 150.0, "bending_rigidity": 1e-5}
-    place = {"position": (-0.4, 0.21, -0.4), "material": "cloth", "radius": 0.003}
-    ts.shapes.cloth(scene, size=(0.8, 0.8), resolution=(56, 56), damping=0.1, **fabric, **place)
-    scene.add_collider(ts.Sphere((0.0, 0.0, 0.0), 0.2, material="cloth"))
-    with simulate(scene, integrator="implicit_euler", dt=1 / 240) as sim:
-        energy = [sim.energy().total]
-        for _ in range(65):
-            sim.step(1)
-            energy.append(sim.energy().total)
-        found = sim.solver()
-    print(found)
-    assert found.misses == 0
-    assert found.passes < 100 * found.stages
-    assert np.diff(energy).max() < 0.0
