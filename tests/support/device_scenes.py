@@ -35,15 +35,15 @@ def pile(dim=2, friction=0.3, **balls):
 
 
 def pile_2d():
-    return pile(), {"dt": 5e-4, "contacts": "jacobi"}
+    return pile(), {"dt": 5e-4, "contacts": "jacobi", "contact_iterations": 7}
 
 
 def pile_3d():
-    return pile(3), {"dt": 5e-4, "contacts": "jacobi"}
+    return pile(3), {"dt": 5e-4, "contacts": "jacobi", "contact_iterations": 4}
 
 
 def pile_ordered():
-    return pile(3), {"dt": 5e-4, "contacts": "jacobi", "accumulate": "ordered"}
+    return pile(3), {"dt": 5e-4, "contacts": "jacobi", "contact_iterations": 4, "accumulate": "ordered"}
 
 
 def crowd_plain_sum():
