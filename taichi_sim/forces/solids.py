@@ -104,8 +104,7 @@ class Solids(NeoHookean):
     @ti.func
     def _averaged(self, ball: ti.template(), i, member: ti.template(), real: ti.template()):
         """Mean (dim, dim) at ball i of the derivatives of a member of balls, "x" [m], "v" or "w" [m/s] or "p", in the elements;
-        without
-        the division by its volume."""
+        without the division by its volume."""
         total = ti.Matrix.zero(real, self.dim, self.dim)
         for t in range(self.start[i + 1] - self.start[i]):
             row = self.row[list_entry(self, i, t)]

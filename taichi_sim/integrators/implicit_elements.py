@@ -19,10 +19,10 @@ __all__ = ["StageElements"]
 class StageElements:
     """Elements in a StageSolver: forces where the stage ends, what the matrix has of them, and the potential.
 
-    Fields: `there` (n), for each of the elements, x and v where the rest is worked out, w of the way to where the
-    stage begins, p of a product or of a change under test; `step` [s] of the stage;
-    `half_step`, half of it; `time` [s] at its end. x is in double precision, but for elements of users: the rounding of places
-    in single precision comes to forces as large as those that stiff elements balance.
+    Fields: `there` (n), for each of the elements, x and v where the rest is worked out, w of the way to where
+    the stage begins, p of a product or of a change under test; `step` [s] of the stage; `half_step`, half of it; `time` [s] at
+    its end. x is in double precision, but for elements of users: the rounding of places in single precision comes to forces as
+    large as those that stiff elements balance.
     """
 
     def __init__(self, elements: Sequence[Any], model: Model, fields: Fields) -> None:

@@ -58,7 +58,7 @@ MOST_SUBSTEPS = 8  # for balls
 CLOSING = 1.0  # of the thickness of surfaces that collide: how far they may close in a substep
 MANY_BALLS = 1000  # fewer can afford two iterations
 # by split masses, where few balls bounce at all: each of s contacts of a ball, in one iteration, undoes the part 1 / s of what
-# is left of an impact, so that (1 + e) (1 - 1 / s)^n of its speed is missing after n; 0.03 of a whole e where s is 4
+# is left of an impact, so that (1 + e) (1 - 1 / s)^n of its speed is missing after n: 0.01 (1 + e) where s is 4
 BOUNCING_ITERATIONS = 16
 SURFACE_ITERATIONS = (
     10  # folds lie in layers, each ball in many contacts; finding these takes far longer than an iteration
@@ -130,17 +130,16 @@ class Settings:
         converged then takes energy for good. Of up to a thousand balls that bounce at all it is at least 16."""
         if self.contact_iterations != "auto":
             return int(self.contact_iterations)
-        surfaces = SURFACE_ITERATIONS if scene.solid.any() else 0
+        surfaces, bounce = SURFACE_ITERATIONS if scene.solid.any() else 0, max_restitution(scene)
+        lively = max(0.0, 2.0 * bounce - 1.0)
         if in_turn:
             mass = scene.mass[~scene.pinned]
             few = 1 if len(mass) > MANY_BALLS and mass.max() <= UNEQUAL_MASSES * mass.min() else 2
             few = max(few, surfaces)
             # else impacts are resolved one by one
             rows = scene.solid.any() or scene.collides.any()
-            return few + (round(4 * max(0.0, 2.0 * max_restitution(scene) - 1.0)) if rows else 0)
-        bounce = max_restitution(scene)
-        more = round(12 * max(0.0, 2.0 * bounce - 1.0))
-        few = max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + more
+            return few + (round(4 * lively) if rows else 0)
+        few = max(surfaces, int(np.clip(round(0.4 * scene.n_balls ** (1.0 / scene.dim)), 4, 8))) + round(12 * lively)
         return max(few, BOUNCING_ITERATIONS) if bounce > 0.0 and scene.n_balls <= MANY_BALLS else few
 
     def time_step(self, scene: Scene, safe: Stability) -> tuple[float, int]:
