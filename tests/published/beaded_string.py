@@ -9,7 +9,7 @@ the mode's amplitude. Modes 1, 3 and 8 of 15 beads.
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 BEADS, LENGTH, MASS, STIFFNESS, REST = 15, 1.6, 0.02, 400.0, 0.08
 MODES = (1, 3, 8)
@@ -31,13 +31,9 @@ def measure():
     """Frequencies, from the zeros of each mode's amplitude over 3 s."""
     exact = 2 * np.sqrt(TENSION * (BEADS + 1) / (MASS * LENGTH)) * np.sin(np.pi * np.array(MODES) / (2 * (BEADS + 1)))
     for row, sim in refined(scene, 4):
-        time, amplitude = [], []
-        while sim.time < 3.0:
-            y = sim.position[:, 1].reshape(len(MODES), -1) - np.arange(len(MODES))[:, None]
-            time.append(sim.time)
-            amplitude.append(np.sum(y * SHAPES, axis=1))
-            sim.step(round(2e-3 / sim.dt) or 1)
+        time, y = history(sim, 3.0, 2e-3, lambda sim: (sim.position[:, 1].reshape(SHAPES.shape),))
+        amplitude = np.sum((y - np.arange(len(MODES))[:, None]) * SHAPES, axis=2)
         for k, mode in enumerate(MODES):
-            through = crossings(np.array(time), np.array(amplitude)[:, k])
+            through = crossings(time, amplitude[:, k])
             found = 2 * np.pi * (len(through) - 1) / (through[-1] - through[0])
             yield row(f"angular frequency of mode {mode}", "1/s", exact[k], found, 2e-3)

@@ -26,10 +26,8 @@ def measure():
     """Speed of rolling, and when and where it begins."""
     begins = 2 * SPEED / (7 * MU * G)
     for row, sim in refined(scene, 4):
-        time, slip = history(
-            sim, 1.5 * begins, 10**6, lambda sim: sim.velocity[0, 0] + RADIUS * sim.angular_velocity[0, 2]
-        )
-        rolling = time[np.flatnonzero(slip < 1e-4)[0]]
+        time, speed, spin = history(sim, 1.5 * begins, 0, lambda sim: (sim.velocity[0, 0], sim.angular_velocity[0, 2]))
+        rolling = time[np.flatnonzero(speed + RADIUS * spin < 1e-4)[0]]
         way = 12 * SPEED**2 / (49 * MU * G) + 5 / 7 * SPEED * (sim.time - begins)
         yield row("speed of rolling", "m/s", 5 / 7 * SPEED, sim.velocity[0, 0], 2e-3)
         yield row("time at which it rolls", "s", begins, rolling, 0.01)

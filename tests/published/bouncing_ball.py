@@ -7,7 +7,7 @@ e) (Bernstein, American Journal of Physics 45, 1977, 41). Its n-th bounce rises 
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import refined
+from tests.published.common import history, refined
 
 G, RADIUS, HEIGHT, RESTITUTION = 9.81, 0.05, 0.8, 0.75
 
@@ -24,13 +24,7 @@ def scene():
 def measure():
     """Heights of the first, fifth and tenth bounce, and the time of rest."""
     for row, sim in refined(scene, 4):
-        time, height, speed = [], [], []
-        while sim.time < 3.0:
-            sim.step()
-            time.append(sim.time)
-            height.append(sim.position[0, 1] - RADIUS)
-            speed.append(sim.velocity[0, 1])
-        height, speed = np.array(height), np.array(speed)
+        time, height, speed = history(sim, 3.0, 0, lambda sim: (sim.position[0, 1] - RADIUS, sim.velocity[0, 1]))
         tops = height[1:][(speed[:-1] > 0) & (speed[1:] <= 0)]
         for n in (1, 5, 10):
             name = f"height of bounce {n}"

@@ -58,14 +58,14 @@ def refined(scene: Callable[[], ts.Scene], *parts: int) -> Iterator[tuple[Callab
             yield partial(Row, settings=DEFAULTS if part == 1 else f"dt / {part}"), sim
 
 
-def history(sim: ts.Simulation, duration: float, samples: int, read: Callable[[ts.Simulation], float]) -> np.ndarray:
-    """Times [s] and readings (2, n) at the start and about `samples` times, a whole number of steps apart."""
-    steps = max(1, round(duration / sim.dt / samples))
-    got = [(sim.time, read(sim))]
-    while sim.time < duration - 0.5 * steps * sim.dt:
+def history(sim: ts.Simulation, end: float, every: float, read: Callable[[ts.Simulation], tuple]) -> list[np.ndarray]:
+    """Times (n,) and each reading (n, ...), from now to about the time `end`; every: seconds between two, 0: each step."""
+    steps = max(1, round(every / sim.dt))
+    rows = [(sim.time, *read(sim))]
+    while sim.time < end - 0.5 * steps * sim.dt:
         sim.step(steps)
-        got.append((sim.time, read(sim)))
-    return np.array(got).T
+        rows.append((sim.time, *read(sim)))
+    return [np.array(column) for column in zip(*rows)]
 
 
 def crossings(time: np.ndarray, value: np.ndarray, rising: bool = True) -> np.ndarray:

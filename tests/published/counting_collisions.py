@@ -9,7 +9,7 @@ Regular and Chaotic Dynamics 8, 2003, 375; one less where pi / arctan is whole).
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import refined
+from tests.published.common import history, refined
 
 RADIUS, SPEED = 0.02, 0.5
 RATIOS = (1, 16, 100)
@@ -42,12 +42,8 @@ def reference(ratio):
 def measure():
     """Number of collisions, counted by changes of velocity, and speeds at the end."""
     for row, sim in refined(scene, 4):
-        counts, before = np.zeros(len(RATIOS), int), sim.velocity[::2, 0]
-        while sim.time < 7.0:
-            sim.step()
-            now = sim.velocity[::2, 0]
-            counts += np.abs(now - before) > 1e-6
-            before = now
+        _, light = history(sim, 7.0, 0, lambda sim: (sim.velocity[::2, 0],))
+        counts = np.sum(np.abs(np.diff(light, axis=0)) > 1e-6, axis=0)
         v = sim.velocity[:, 0].reshape(-1, 2)
         for k, ratio in enumerate(RATIOS):
             count, light, heavy = reference(ratio)

@@ -8,7 +8,7 @@ m g / k. So turning points come nearer by 2 mu m g / k, until one lies within mu
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import refined
+from tests.published.common import history, refined
 
 G, MASS, STIFFNESS, MU, START, RADIUS = 9.81, 0.5, 80.0, 0.12, 0.1, 0.02
 SHIFT = MU * MASS * G / STIFFNESS
@@ -38,13 +38,7 @@ def measure():
     points = reference()
     rest = (len(points) - 1) * np.pi * np.sqrt(MASS / STIFFNESS)
     for row, sim in refined(scene, 4):
-        time, x, v = [], [], []
-        while sim.time < 1.5 * rest:
-            sim.step()
-            time.append(sim.time)
-            x.append(sim.position[1, 0])
-            v.append(sim.velocity[1, 0])
-        x, v = np.array(x), np.array(v)
+        time, x, v = history(sim, 1.5 * rest, 0, lambda sim: (sim.position[1, 0], sim.velocity[1, 0]))
         turn = np.flatnonzero((v[:-1] * v[1:] < 0) | ((v[:-1] != 0) & (v[1:] == 0)))
         for k in (1, 4):
             yield row(f"turning point {k}", "m", points[k], x[turn[k - 1]], 5e-3, scale=START)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 ARMS, MASS, STIFFNESS = np.array([0.5, 0.35, 0.2]), 0.5, 1e6  # m, kg, N/m
 MOMENTS = 2 * MASS * np.array([ARMS[1] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[2] ** 2, ARMS[0] ** 2 + ARMS[1] ** 2])
@@ -32,21 +32,21 @@ def reference(time):
     def rate(_, w):
         return np.cross(MOMENTS * w, w) / MOMENTS
 
-    return solve_ivp(rate, (0, END), SPIN, method="DOP853", t_eval=time, rtol=1e-12, atol=1e-12).y[1]
+    return solve_ivp(rate, (0, time[-1]), SPIN, method="DOP853", t_eval=time, rtol=1e-12, atol=1e-12).y[1]
+
+
+def middle_rate(sim):
+    """Rate of turn about the body's middle axis [1/s]."""
+    x, v = sim.position, sim.velocity
+    inertia = MASS * (np.sum(x * x) * np.eye(3) - x.T @ x)
+    omega = np.linalg.solve(inertia, MASS * np.cross(x, v).sum(axis=0))
+    return omega @ (x[1] - x[4]) / np.linalg.norm(x[1] - x[4])
 
 
 def measure():
     """Times of the flips and the least rate of turn."""
     for row, sim in refined(scene, 2):
-        time, turn = [], []
-        while sim.time < END - 0.01:
-            x, v = sim.position, sim.velocity
-            inertia = MASS * (np.sum(x * x) * np.eye(3) - x.T @ x)
-            omega = np.linalg.solve(inertia, MASS * np.cross(x, v).sum(axis=0))
-            time.append(sim.time)
-            turn.append(omega @ (x[1] - x[4]) / np.linalg.norm(x[1] - x[4]))
-            sim.step(max(1, round(5e-3 / sim.dt)))
-        time, turn = np.array(time), np.array(turn)
+        time, turn = history(sim, END, 5e-3, lambda sim: (middle_rate(sim),))
         exact = reference(time)
         flips, wanted = (np.sort(np.r_[crossings(time, w), crossings(time, w, False)]) for w in (turn, exact))
         yield row("number of flips", "", len(wanted), len(flips), 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 G, LENGTH, MASS, STIFFNESS, DAMPING = 9.81, 0.5, 0.2, 2e6, 20.0
 SWING, PER_SECOND, POINTS = 0.04, 25, 40  # m, swings of the pivot per second, keyframes for each
@@ -39,20 +39,14 @@ def reference(time, swing):
     def rate(t, y):
         return [y[1], (G - swing * RATE**2 * np.cos(RATE * t)) / LENGTH * np.sin(y[0])]
 
-    return solve_ivp(rate, (0, END), [START, 0], method="DOP853", t_eval=time, rtol=1e-11, atol=1e-11).y[0]
+    return solve_ivp(rate, (0, time[-1]), [START, 0], method="DOP853", t_eval=time, rtol=1e-11, atol=1e-11).y[0]
 
 
 def measure():
     """Slow period, largest angle on the other side, and the time at which the other one is level."""
     for row, sim in refined(scene, 4):
-        time, angle = [], []
-        while sim.time < END - 2e-3:
-            x = sim.position
-            x = x[1::2] - x[::2]
-            time.append(sim.time)
-            angle.append(np.arctan2(x[:, 0], x[:, 1]))
-            sim.step(max(1, round(1e-3 / sim.dt)))
-        time, found = np.array(time), np.array(angle)
+        time, x = history(sim, END, 1e-3, lambda sim: (sim.position,))
+        found = np.arctan2(*np.moveaxis(x[:, 1::2] - x[:, ::2], 2, 0))
         exact = [reference(time, swing) for swing in (SWING, SWING / 3)]
         slow = [np.diff(crossings(time, smooth(time, a), False)[:2])[0] for a in (exact[0], found[:, 0])]
         level = [time[np.argmax(np.abs(a) > np.pi / 2)] for a in (exact[1], found[:, 1])]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ellipk
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 G, LENGTH, STIFFNESS, MASS = 9.81, 0.7, 2e6, 1.3
 AMPLITUDES = (30, 90, 150, 170)  # degrees
@@ -29,14 +29,11 @@ def scene():
 def measure():
     """Periods, from passages through the lowest point."""
     for row, sim in refined(scene, 4):
-        time, angle = [0.0], [-np.radians(AMPLITUDES)]
-        while sim.time < 13.0:
-            sim.step(max(1, round(2e-3 / sim.dt)))
-            x = sim.position[1::2] - sim.position[::2]
-            time.append(sim.time)
-            angle.append(-np.arctan2(x[:, 0], -x[:, 1]))
+        time, x = history(sim, 13.0, 2e-3, lambda sim: (sim.position,))
+        x = x[:, 1::2] - x[:, ::2]
+        angle = -np.arctan2(x[..., 0], -x[..., 1])
         for k, amplitude in enumerate(AMPLITUDES):
-            through = crossings(np.array(time), np.array(angle)[:, k])
+            through = crossings(time, angle[:, k])
             exact = 4 * np.sqrt(LENGTH / G) * ellipk(np.sin(np.radians(amplitude) / 2) ** 2)
             found = (through[-1] - through[0]) / (len(through) - 1)
             yield row(f"period from {amplitude} degrees", "s", exact, found, 1e-3)

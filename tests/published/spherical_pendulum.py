@@ -10,7 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 G, LENGTH, MASS, STIFFNESS = 9.81, 0.9, 0.6, 1e6
 OUT, ASIDE = np.radians(50.0), 0.8  # rad, m/s across
@@ -47,14 +47,8 @@ def measure():
     """Period and turn of the orbit, the mean over 8 s."""
     period, angle = reference()
     for row, sim in refined(scene, 4):
-        time, turned, radial = [], [], []
-        while sim.time < 8.0:
-            x, v = sim.position[1], sim.velocity[1]
-            time.append(sim.time)
-            turned.append(np.arctan2(-x[2], x[0]))
-            radial.append(x[0] * v[0] + x[2] * v[2])
-            sim.step(round(2e-3 / sim.dt))
-        times = crossings(np.array(time), np.array(radial), rising=False)
-        angles = np.abs(np.interp(times, time, np.unwrap(turned)))
+        time, x, v = history(sim, 8.0, 2e-3, lambda sim: (sim.position[1, ::2], sim.velocity[1, ::2]))
+        times = crossings(time, np.sum(x * v, axis=1), rising=False)
+        angles = np.abs(np.interp(times, time, np.unwrap(np.arctan2(-x[:, 1], x[:, 0]))))
         yield row("time between outermost points", "s", period, np.diff(times).mean(), 1e-3)
         yield row("precession", "rad", angle - np.pi, np.diff(angles).mean() - np.pi, 5e-3)

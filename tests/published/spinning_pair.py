@@ -8,7 +8,7 @@ oscillations about a circular orbit, Goldstein, "Classical Mechanics", chapter 3
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 M1, M2, STIFFNESS, REST, RATE = 0.4, 1.6, 40.0, 0.5, 5.0
 REDUCED = M1 * M2 / (M1 + M2)
@@ -30,14 +30,9 @@ def scene():
 def measure():
     """Length of the first pair and frequency of the second over 10 s."""
     for row, sim in refined(scene, 4):
-        time, length = [], []
-        while sim.time < 10.0:
-            x = sim.position
-            time.append(sim.time)
-            length.append(np.linalg.norm(x[1::2] - x[::2], axis=1))
-            sim.step(round(2e-3 / sim.dt))
-        length = np.array(length)
-        through = crossings(np.array(time), length[:, 1] - length[:, 1].mean())
+        time, x = history(sim, 10.0, 2e-3, lambda sim: (sim.position,))
+        length = np.linalg.norm(x[:, 1::2] - x[:, ::2], axis=2)
+        through = crossings(time, length[:, 1] - length[:, 1].mean())
         frequency = 2 * np.pi * (len(through) - 1) / (through[-1] - through[0])
         yield row("length", "m", LENGTH, length[:, 0].mean(), 1e-3)
         yield row("breathing frequency", "1/s", np.sqrt(STIFFNESS / REDUCED + 3 * RATE**2), frequency, 1e-3)

@@ -10,7 +10,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 import taichi_sim as ts
-from tests.published.common import crossings, refined
+from tests.published.common import crossings, history, refined
 
 MASS, REST, STIFFNESS = 0.5, 0.4, 20.0
 FAR, SPEED = 1.0, 1.5  # m, m/s at the farthest point, across
@@ -48,16 +48,9 @@ def measure():
     """Nearest distance, apsidal angle and period, the mean over the orbits of 20 s."""
     near, angle, period = reference()
     for row, sim in refined(scene, 4):
-        time, turned, radial, distance = [], [], [], []
-        while sim.time < 20.0:
-            x, v = sim.position[1], sim.velocity[1]
-            time.append(sim.time)
-            turned.append(np.arctan2(x[1], x[0]))
-            radial.append(x @ v)
-            distance.append(np.hypot(*x))
-            sim.step(round(2e-3 / sim.dt))
-        times = crossings(np.array(time), np.array(radial), rising=False)
-        angles = np.interp(times, time, np.unwrap(turned))
-        yield row("nearest distance", "m", near, min(distance), 1e-3)
+        time, x, v = history(sim, 20.0, 2e-3, lambda sim: (sim.position[1], sim.velocity[1]))
+        times = crossings(time, np.sum(x * v, axis=1), rising=False)
+        angles = np.interp(times, time, np.unwrap(np.arctan2(x[:, 1], x[:, 0])))
+        yield row("nearest distance", "m", near, np.linalg.norm(x, axis=1).min(), 1e-3)
         yield row("period", "s", period, np.diff(times).mean(), 1e-3)
         yield row("apsidal angle", "rad", angle, np.diff(angles).mean(), 1e-3)

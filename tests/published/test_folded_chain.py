@@ -16,7 +16,7 @@ import pytest
 from scipy.integrate import quad
 
 import taichi_sim as ts
-from tests.published.common import Row, hold
+from tests.published.common import Row, history, hold
 
 G, LENGTH, FALLEN = 9.81, 1.0, 0.9
 
@@ -42,12 +42,8 @@ def measure():
         scene.set_balls(body.balls, position=np.stack([along, -down, 0 * along + place], axis=1))
         made.append((n, body.balls[-1]))
     with ts.Simulation(scene, contacts="off") as sim:
-        times, depth, speed = [], [], []
-        for _ in range(260):
-            sim.run(0.002)
-            times.append(sim.time)
-            depth.append(-sim.position[[ball for _, ball in made], 1])
-            speed.append(-sim.velocity[[ball for _, ball in made], 1])
+        tips = [ball for _, ball in made]
+        times, depth, speed = history(sim, 0.52, 2e-3, lambda sim: (-sim.position[tips, 1], -sim.velocity[tips, 1]))
     for (n, _), fallen, fast in zip(made, np.transpose(depth), np.transpose(speed)):
         first = int(np.argmax(fallen > FALLEN * LENGTH))
         assert first > 0, "it did not arrive"

@@ -9,7 +9,7 @@ circle stay.
 import numpy as np
 
 import taichi_sim as ts
-from tests.published.common import refined
+from tests.published.common import history, refined
 
 G, RADIUS, MU, TURN, END = 9.81, 0.04, 0.8, 90.0, 40.0  # TURN in degrees per second
 
@@ -28,14 +28,8 @@ def measure():
     rate = np.radians(TURN)
     for row, sim in refined(scene, 4):
         sim.run(1.0)
-        time, speed, heading = [], [], []
-        while sim.time < END:
-            v = sim.velocity[0]
-            time.append(sim.time)
-            speed.append(np.hypot(v[0], v[2]))
-            heading.append(np.arctan2(-v[2], v[0]))
-            sim.step(round(0.05 / sim.dt))
-        turned = np.unwrap(heading)
+        time, v = history(sim, END, 0.05, lambda sim: (sim.velocity[0, ::2],))
+        speed, turned = np.linalg.norm(v, axis=1), np.unwrap(np.arctan2(-v[:, 1], v[:, 0]))
         found = np.polyfit(time, turned, 1)[0]
         yield row("angular velocity, in that of the table", "", 2 / 7, found / rate, 5e-3)
         yield row("speed after 40 s, in that after 1 s", "", 1.0, speed[-1] / speed[0], 0.01)
