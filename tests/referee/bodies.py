@@ -1,5 +1,6 @@
 """Random scenes of springs: sleds and jelly on the ground, chains, balloons, pendulums, sheets, led ends."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 import taichi_sim as ts
 
 from .agreement import PROCESSES, VIEWS, slowest
-from .bounces import log, up
+from .bounces import blank, log, up
 from .likeness import block
 from .observe import Case
 from .scenes import components
@@ -38,17 +39,15 @@ def chain(scene: ts.Scene, at: np.ndarray, stiffness: float, damping: float = 0.
     scene.add_springs(np.stack([made[:-1], made[1:]], axis=1), stiffness=stiffness, damping=damping)
 
 
-def _sleds(rng: Rng, n: int, method: str | None = None) -> list[Case]:
+def _sleds(rng: Rng, n: int, method: str | None = None) -> Iterator[Case]:
     """Feet that carry a load on springs and slide."""
     dim = int(rng.integers(2, 4))
     kind = str(rng.choice(["wall", "box"] if dim == 2 else ["wall", "box", "mesh"]))
     method = method or str(rng.choice(METHODS))
     stray = rng.random() < 0.5  # a loose ball above, which turns by friction where feet do not
-    cases = []
     for _ in range(n if kind != "mesh" else 4):
-        scene = ts.Scene(dim, up(dim, 10.0))
         mu = float(rng.uniform(0.1, 0.8))
-        scene.add_material("m", friction=mu)
+        scene = blank(dim, 10.0, friction=mu)
         load, r, foot = float(log(rng, 0.5, 50.0)), 0.05, float(log(rng, 0.1, 3.0))
         feet = 2 if dim == 2 else 3
         x = np.zeros((feet + 1, dim))
@@ -69,19 +68,16 @@ def _sleds(rng: Rng, n: int, method: str | None = None) -> list[Case]:
         if stray:
             scene.add_balls([np.eye(dim)[1]], radius=r, mass=foot, material="m")
         ground(scene, kind, "m")
-        cases.append(Case(scene, {"integrator": method}, 0.3, 6))
-    return cases
+        yield Case(scene, {"integrator": method}, 0.3, 6)
 
 
-def _jelly_slides(rng: Rng, n: int) -> list[Case]:
+def _jelly_slides(rng: Rng, n: int) -> Iterator[Case]:
     """Jelly that lands along the ground."""
     dim = 2 if rng.random() < 0.7 else 3
     kind, fabric = str(rng.choice(["wall", "box"])), rng.random() < 0.5
     method = str(rng.choice(["verlet", "verlet", "rk4", "symplectic_euler"]))
-    cases = []
     for _ in range(n if dim == 2 else 3):
-        scene = ts.Scene(dim, up(dim, 10.0))
-        scene.add_material("m", friction=float(rng.uniform(0.1, 0.4)))
+        scene = blank(dim, 10.0, friction=float(rng.uniform(0.1, 0.4)))
         size = (0.4, 0.2, 0.2)[:dim]
         made = {"young_modulus": 2e4, "poisson_ratio": 0.35, "damping": 2.0} if fabric else {}
         # by its centre of mass, a touch above the ground
@@ -89,16 +85,14 @@ def _jelly_slides(rng: Rng, n: int) -> list[Case]:
         v = [rng.uniform(8.0, 20.0), -rng.uniform(0.5, 3.0), 0.0][:dim]
         scene.set_balls(body.balls, velocity=v)
         ground(scene, kind, "m")
-        cases.append(Case(scene, {"integrator": method}, 0.15, 4))
-    return cases
+        yield Case(scene, {"integrator": method}, 0.15, 4)
 
 
-def _jelly_stays(rng: Rng, n: int) -> list[Case]:
+def _jelly_stays(rng: Rng, n: int) -> Iterator[Case]:
     """Jelly at rest on ground that is less steep than its friction holds."""
     dim = 2
     slope = float(rng.uniform(0.1, 0.4))
     kind, method = str(rng.choice(["wall", "box"])), str(rng.choice(["verlet", "rk4", "implicit_euler"]))
-    cases = []
     for _ in range(n):
         scene = ts.Scene(dim, (10.0 * np.sin(slope), -10.0 * np.cos(slope)))
         scene.add_material("m", friction=float(np.tan(slope) * rng.uniform(1.3, 2.5)))
@@ -107,8 +101,7 @@ def _jelly_stays(rng: Rng, n: int) -> list[Case]:
         radius = 0.45 * min(size[0] / 4, size[1] / 2)
         ts.shapes.jelly(scene, size, number, material="m", radius=radius, position=(0.0, radius), **made)
         ground(scene, kind, "m")
-        cases.append(Case(scene, {"integrator": method}, 1.0, 2))
-    return cases
+        yield Case(scene, {"integrator": method}, 1.0, 2)
 
 
 def _chains(rng: Rng, n: int) -> list[Case]:
@@ -133,10 +126,9 @@ def _chains(rng: Rng, n: int) -> list[Case]:
     return [Case(scene, {"integrator": method}, longest, 60) for scene, _ in drawn]
 
 
-def _balloons(rng: Rng, n: int) -> list[Case]:
+def _balloons(rng: Rng, n: int) -> Iterator[Case]:
     """Balloons that turn freely."""
     method = str(rng.choice(["implicit_euler", "xpbd", "verlet", "tr_bdf2"]))
-    cases = []
     for _ in range(n):
         scene = ts.Scene(3)
         radius = float(rng.uniform(0.15, 0.4))
@@ -151,14 +143,12 @@ def _balloons(rng: Rng, n: int) -> list[Case]:
         )
         axis = rng.normal(size=3)
         scene.set_balls(body.balls, velocity=np.cross(0.5 * axis / np.linalg.norm(axis), scene.position[body.balls]))
-        cases.append(Case(scene, {"integrator": method}, 0.5, 4))
-    return cases
+        yield Case(scene, {"integrator": method}, 0.5, 4)
 
 
-def _hung_balloons(rng: Rng, n: int) -> list[Case]:
+def _hung_balloons(rng: Rng, n: int) -> Iterator[Case]:
     """Balloons pinned at the top that sag."""
     method = str(rng.choice(["implicit_euler", "xpbd", "tr_bdf2"]))
-    cases = []
     for _ in range(n):
         scene = ts.Scene(3, (0.0, -10.0, 0.0))
         body = ts.shapes.balloon(
@@ -172,27 +162,23 @@ def _hung_balloons(rng: Rng, n: int) -> list[Case]:
         )
         top = body.balls[np.argmax(scene.position[body.balls, 1])]
         scene.set_balls(top, pinned=True)
-        cases.append(Case(scene, {"integrator": method}, 0.2, 4))
-    return cases
+        yield Case(scene, {"integrator": method}, 0.2, 4)
 
 
-def _pendulums(rng: Rng, n: int) -> list[Case]:
+def _pendulums(rng: Rng, n: int) -> Iterator[Case]:
     """Very stiff pendulums and ropes, by an implicit method at long steps."""
     dim = int(rng.integers(2, 4))
     settings = {"integrator": "implicit_euler", "dt": 1.0 / float(rng.choice([60, 120, 240]))}
-    cases = []
     for _ in range(n):
         scene = ts.Scene(dim, up(dim, 10.0))
         k, length = int(rng.choice([1, 1, 2, 5, 10])), float(rng.uniform(0.05, 0.5))
         mass, stiffness = float(log(rng, 0.1, 10)), float(log(rng, 1e5, 1e8))
         chain(scene, length * np.arange(k + 1) / k, stiffness, radius=0.01 * length, mass=mass, pinned=[0])
-        cases.append(Case(scene, settings, 2.0, 120))
-    return cases
+        yield Case(scene, settings, 2.0, 120)
 
 
-def _sheets(rng: Rng, n: int) -> list[Case]:
+def _sheets(rng: Rng, n: int) -> Iterator[Case]:
     """Folded sheets with damping of bending that turn freely."""
-    cases = []
     for _ in range(n):
         scene = ts.Scene(3)
         body = ts.shapes.cloth(
@@ -207,15 +193,13 @@ def _sheets(rng: Rng, n: int) -> list[Case]:
         scene.set_bending(damping=10.0 ** rng.uniform(-3, -1))
         axis = rng.normal(size=3)
         scene.set_balls(body.balls, velocity=np.cross(2.0 * axis / np.linalg.norm(axis), x))
-        cases.append(Case(scene, {"integrator": "verlet"}, 0.5, 4))
-    return cases
+        yield Case(scene, {"integrator": "verlet"}, 0.5, 4)
 
 
-def _nets(rng: Rng, n: int) -> list[Case]:
+def _nets(rng: Rng, n: int) -> Iterator[Case]:
     """Cloth and ropes, damped by little or much, that hang, swing and feel wind; no contacts."""
     method = str(rng.choice(["verlet", "tr_bdf2", "implicit_euler"]))
     windy = rng.random() < 0.5
-    cases = []
     for _ in range(n):
         scene = ts.Scene(3, (0.0, -10.0, 0.0))
         body = ts.shapes.cloth(
@@ -232,15 +216,13 @@ def _nets(rng: Rng, n: int) -> list[Case]:
         scene.set_balls(body.balls[: int(rng.integers(1, 5))], pinned=True)
         if windy:
             scene.add_wind((1.0, 0.5, 2.0))
-        cases.append(Case(scene, {"integrator": method, "contacts": "off", "dt": 2.0**-11, "substeps": 1}, 0.25, 4))
-    return cases
+        yield Case(scene, {"integrator": method, "contacts": "off", "dt": 2.0**-11, "substeps": 1}, 0.25, 4)
 
 
-def _led(rng: Rng, n: int) -> list[Case]:
+def _led(rng: Rng, n: int) -> Iterator[Case]:
     """Chains of damped springs, one end led along a path with kinks at whole steps."""
     dim, method = int(rng.integers(2, 4)), str(rng.choice(["verlet", "tr_bdf2"]))
     dt = 2.0**-9
-    cases = []
     for _ in range(n):
         scene = ts.Scene(dim)
         links = int(rng.integers(2, 6))
@@ -251,8 +233,7 @@ def _led(rng: Rng, n: int) -> list[Case]:
         for step in (16, 40, 96):
             path.append((step * dt, rng.uniform(-0.05, 0.05, dim)))
         scene.add_moving_pins([0], path=[{"time": t, "position": p.tolist()} for t, p in path])
-        cases.append(Case(scene, {"integrator": method, "dt": dt, "substeps": 1, "contacts": "off"}, 128 * dt, 1))
-    return cases
+        yield Case(scene, {"integrator": method, "dt": dt, "substeps": 1, "contacts": "off"}, 128 * dt, 1)
 
 
 def _hanging(rng: Rng, n: int) -> list[Case]:

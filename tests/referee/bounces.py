@@ -1,5 +1,7 @@
 """Random scenes of loose balls: crowds, rows, columns, neighbours, unequal ones, glancing ones."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 import taichi_sim as ts
@@ -18,6 +20,13 @@ def up(dim: int, g: float) -> np.ndarray:
     out = np.zeros(dim)
     out[1] = -g
     return out
+
+
+def blank(dim: int, g: float, restitution: float = 0.0, friction: float = 0.0) -> ts.Scene:
+    """A scene with gravity downward along y [m/s^2] and a material m."""
+    scene = ts.Scene(dim, up(dim, g))
+    scene.add_material("m", restitution=restitution, friction=friction)
+    return scene
 
 
 def log(rng: Rng, low: float, high: float, n: int | None = None):
@@ -44,8 +53,7 @@ def crowd(
     rng: Rng, dim: int, g: float, e: float, masses: float = 1.0, radii: float = 1.0, n=None, speed=1.0
 ) -> ts.Scene:
     """Balls in a room of 1 m; masses and radii: by how much they differ."""
-    scene = ts.Scene(dim, up(dim, g))
-    scene.add_material("m", restitution=e)
+    scene = blank(dim, g, restitution=e)
     n = int(rng.integers(50, 201)) if n is None else n
     side = np.ceil(n ** (1 / dim))
     filled = rng.uniform(0.05, 0.3)
@@ -70,14 +78,12 @@ def _elastic_crowd(rng: Rng, n: int) -> list[Case]:
     return [Case(scene, VERLET, 2.0, 8) for scene in scenes]
 
 
-def _elastic_rows(rng: Rng, n: int) -> list[Case]:
+def _elastic_rows(rng: Rng, n: int) -> Iterator[Case]:
     """Balls that touch, in a row on a floor, hit by one at the end."""
     dim = int(rng.integers(2, 4))
     g = float(log(rng, 0.5, 20.0))
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim, up(dim, g))
-        scene.add_material("m", restitution=1.0)
+        scene = blank(dim, g, restitution=1.0)
         k, r = int(rng.integers(2, 8)), float(rng.uniform(0.02, 0.1))
         x = np.zeros((k + 1, dim))
         x[:, 0], x[:, 1] = 2 * r * np.arange(k + 1), r
@@ -86,8 +92,7 @@ def _elastic_rows(rng: Rng, n: int) -> list[Case]:
         v[0, 0] = rng.uniform(0.5, 3.0)
         scene.add_balls(x, radius=r, velocity=v, material="m")
         scene.add_wall(np.eye(dim)[1], 0.0, "m")
-        cases.append(Case(scene, VERLET, 0.4, 4))
-    return cases
+        yield Case(scene, VERLET, 0.4, 4)
 
 
 def _heavy_crowd(rng: Rng, n: int) -> list[Case]:
@@ -104,11 +109,10 @@ def _heavy_crowd(rng: Rng, n: int) -> list[Case]:
     ]
 
 
-def _columns(rng: Rng, n: int) -> list[Case]:
+def _columns(rng: Rng, n: int) -> Iterator[Case]:
     """Balls above each other that come down together on a floor; they do not bounce."""
     dim = int(rng.integers(2, 4))
     g = float(rng.choice([0.0, 10.0]))
-    cases = []
     for _ in range(n):
         scene = ts.Scene(dim, up(dim, g))
         k = int(rng.integers(2, 4))
@@ -121,19 +125,16 @@ def _columns(rng: Rng, n: int) -> list[Case]:
         mass = np.cumprod(np.concatenate([[1.0], log(rng, 1.0, 100.0 ** (1 / (k - 1)), k - 1)]))
         scene.add_balls(x, radius=r, velocity=v, mass=mass)
         scene.add_wall(np.eye(dim)[1], 0.0)
-        cases.append(Case(scene, VERLET, 0.2, 50))
-    return cases
+        yield Case(scene, VERLET, 0.2, 50)
 
 
-def _clusters(rng: Rng, n: int) -> list[Case]:
+def _clusters(rng: Rng, n: int) -> Iterator[Case]:
     """A few balls that meet at once, most on a floor."""
     dim = 2 if rng.random() < 0.7 else 3
     e, g = float(rng.choice([0.0, 0.5])), float(rng.choice([1.0, 10.0]))
     floor = rng.random() < 0.6
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim, up(dim, g))
-        scene.add_material("m", restitution=e, friction=float(rng.choice([0.0, 0.3])))
+        scene = blank(dim, g, restitution=e, friction=float(rng.choice([0.0, 0.3])))
         k, r = int(rng.integers(3, 11)), 0.07
         side = np.arange(4) * 2.0 * r
         lattice = np.stack(np.meshgrid(*[side] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
@@ -150,20 +151,17 @@ def _clusters(rng: Rng, n: int) -> list[Case]:
             scene.add_wall(np.eye(dim)[1], -0.5, "m")
             x[:, 1] += r - 0.5 - x[:, 1].min() + float(rng.choice([0.0, 0.01]))
         scene.add_balls(x, radius=r, velocity=v, mass=log(rng, 1.0, 100.0, k), material="m")
-        cases.append(Case(scene, VERLET, 0.1, 100))
-    return cases
+        yield Case(scene, VERLET, 0.1, 100)
 
 
-def _neighbours(rng: Rng, n: int) -> list[Case]:
+def _neighbours(rng: Rng, n: int) -> Iterator[Case]:
     """Spheres side by side that slide or roll along a floor into a wall."""
     g = float(rng.choice([0.0, 2.0]))
     most = float(rng.choice([0.5, 1.0]))  # the max_restitution of a simulation chooses how often contacts are solved
     settings = {**VERLET, "contacts": str(rng.choice(["auto", "jacobi"]))}
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(3, up(3, g))
         friction = float(rng.choice([0.0, rng.uniform(0.05, 0.6)]))
-        scene.add_material("m", restitution=float(rng.uniform(0.2, most)), friction=friction)
+        scene = blank(3, g, float(rng.uniform(0.2, most)), friction)
         k, r = int(rng.integers(2, 5)), 0.1
         x = np.zeros((k, 3))
         x[:, 1], x[:, 2] = 0.9999 * r, 1.999 * r * np.arange(k)  # they touch, without a doubt
@@ -171,19 +169,16 @@ def _neighbours(rng: Rng, n: int) -> list[Case]:
         scene.add_balls(x, radius=r, velocity=(rng.uniform(1.0, 3.0), 0.0, 0.0), material="m")
         scene.add_wall((0, 1, 0), 0.0, "m")
         scene.add_wall((-1, 0, 0), 0.0, "m")
-        cases.append(Case(scene, settings, 0.5, 500))
-    return cases
+        yield Case(scene, settings, 0.5, 500)
 
 
-def _hollow_boxes(rng: Rng, n: int) -> list[Case]:
+def _hollow_boxes(rng: Rng, n: int) -> Iterator[Case]:
     """Balls in a hollow box that land on one face and meet the next within the same step, or a little later."""
     dim = int(rng.integers(2, 4))
     mu = float(rng.choice([0.0, 0.3]))
     g = float(rng.choice([0.0, 10.0, 10.0]))
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim, up(dim, g))
-        scene.add_material("m", restitution=float(rng.choice([0.0, 0.5])), friction=mu)
+        scene = blank(dim, g, restitution=float(rng.choice([0.0, 0.5])), friction=mu)
         size = rng.uniform(0.6, 1.5, dim)
         r, h = float(rng.uniform(0.02, 0.05)), 1e-3
         x, v = np.zeros((1, dim)), np.zeros((1, dim))
@@ -193,8 +188,7 @@ def _hollow_boxes(rng: Rng, n: int) -> list[Case]:
         x[0, 0] = size[0] / 2 - r - v[0, 0] * (lands + rng.uniform(0.0, 1.0) * h)
         scene.add_balls(x, radius=r, velocity=v, material="m")
         scene.add_collider(ts.Box(np.zeros(dim), size, hollow=0.2, material="m"))
-        cases.append(Case(scene, {**VERLET, "dt": h}, 0.03, 30))
-    return cases
+        yield Case(scene, {**VERLET, "dt": h}, 0.03, 30)
 
 
 def _unequal(rng: Rng, n: int) -> list[Case]:
@@ -203,9 +197,8 @@ def _unequal(rng: Rng, n: int) -> list[Case]:
     return [Case(crowd(rng, 2, 10.0, e, 100.0, 3.0, n=60, speed=2.0), VERLET, 0.6, 30) for _ in range(n)]
 
 
-def _held(rng: Rng, n: int) -> list[Case]:
+def _held(rng: Rng, n: int) -> Iterator[Case]:
     """A heavy ball on a loose stick, a line without thickness, that lies on two pinned balls."""
-    cases = []
     for _ in range(n):
         scene = ts.Scene(2, up(2, 10.0))  # in 3D it would fall off
         half, r = float(rng.uniform(0.4, 0.6)), 0.05
@@ -216,16 +209,14 @@ def _held(rng: Rng, n: int) -> list[Case]:
         heavy = float(log(rng, 1.0, 30.0))
         scene.add_balls(x, radius=[r, r, 0.01, 0.01, r], mass=[1, 1, 1, 1, heavy], pinned=[0, 1])
         scene.add_springs([[2, 3]], stiffness=1e5, damping=50.0, collides=True)
-        cases.append(Case(scene, VERLET, 1.0, 10))
-    return cases
+        yield Case(scene, VERLET, 1.0, 10)
 
 
 def _glancing(rng: Rng, n: int) -> list[Case]:
     """Elastic balls, each of which glances off another one; a tolerance is asked for."""
     tolerance = float(rng.choice([1e-2, 1e-3]))
     dim = int(rng.integers(2, 4))
-    scene = ts.Scene(dim)
-    scene.add_material("m", restitution=1.0)
+    scene = blank(dim, 0.0, restitution=1.0)
     for k in range(n):
         r = float(rng.uniform(0.02, 0.06))
         x, v = np.zeros((2, dim)), np.zeros((2, dim))
@@ -238,38 +229,32 @@ def _glancing(rng: Rng, n: int) -> list[Case]:
     return [Case(scene, {**VERLET, "tolerance": tolerance}, 0.25, 1, alone=True)]
 
 
-def _few(rng: Rng, n: int) -> list[Case]:
+def _few(rng: Rng, n: int) -> Iterator[Case]:
     """A few balls of any kind that bounce, far from chaos, at one step: what every point of view must see alike."""
     dim = int(rng.integers(2, 4))
     g = float(rng.choice([0.0, 2.0, 10.0]))
     settings = {**VERLET, "dt": 2.0**-10, "substeps": 1}
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim, up(dim, g))
         mu = float(rng.choice([0.0, rng.uniform(0.1, 0.8)]))
-        scene.add_material("m", restitution=float(rng.choice([0.0, 1.0, rng.uniform(0, 1)])), friction=mu)
+        scene = blank(dim, g, float(rng.choice([0.0, 1.0, rng.uniform(0, 1)])), mu)
         k = int(rng.integers(2, 5))
         r = rng.uniform(0.03, 0.08, k)
         x = scattered(rng, k, dim, 0.6) - 0.3
         scene.add_balls(x, radius=r, velocity=rng.normal(0, 1.5, x.shape), mass=log(rng, 0.3, 3.0, k), material="m")
         scene.add_wall(np.eye(dim)[1], -0.4, "m")
-        cases.append(Case(scene, settings, 0.35, 4))
-    return cases
+        yield Case(scene, settings, 0.35, 4)
 
 
-def _slow(rng: Rng, n: int) -> list[Case]:
+def _slow(rng: Rng, n: int) -> Iterator[Case]:
     """Balls in no gravity, in metres a second or millimetres."""
     dim = int(rng.integers(2, 4))
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim)
-        scene.add_material("m", restitution=float(rng.uniform(0.5, 1.0)))
+        scene = blank(dim, 0.0, restitution=float(rng.uniform(0.5, 1.0)))
         r, speed = 0.05, float(log(rng, 0.02, 0.3))
         x, v = np.zeros((2, dim)), np.zeros((2, dim))
         x[1, 0], v[0, 0] = 2 * r + speed * 0.2, speed
         scene.add_balls(x, radius=r, velocity=v, material="m", mass=log(rng, 0.3, 3.0, 2))
-        cases.append(Case(scene, {**VERLET, "dt": 2.0**-10, "substeps": 1}, 0.5, 2))
-    return cases
+        yield Case(scene, {**VERLET, "dt": 2.0**-10, "substeps": 1}, 0.5, 2)
 
 
 # name: (draw, relations, scenes at once)

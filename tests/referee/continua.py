@@ -10,7 +10,7 @@ import taichi_sim as ts
 from taichi_sim.geometry.spheres import icosphere
 
 from .bodies import ground
-from .bounces import log, up
+from .bounces import blank, log
 from .observe import Case, auto_dt
 
 __all__ = ["CONTINUA"]
@@ -150,12 +150,6 @@ def _kinds(rng: Rng, dim: int) -> list[str]:
     return rng.choice(known, 2, replace=False).tolist()
 
 
-def _blank(rng: Rng, dim: int, g: float, e: float = 0.0, friction: float = 0.0) -> ts.Scene:
-    scene = ts.Scene(dim, up(dim, g))
-    scene.add_material("m", restitution=e, friction=friction)
-    return scene
-
-
 def _timed(
     rng: Rng, scenes: list[ts.Scene], method: str, duration: float, samples: int = 6, coarsest: int = 6, **how: Any
 ) -> list[Case]:
@@ -179,7 +173,7 @@ def _free(rng: Rng, n: int) -> list[Case]:
     method = str(rng.choice(["verlet", "rk4", "xpbd", *IMPLICIT]))
     scenes = []
     for k in range(n):
-        scene = _blank(rng, dim, g)
+        scene = blank(dim, g)
         balls = _object(rng, scene, kinds[k % 2])
         _moved(rng, scene, balls, 0.0, 1.0)
         x = scene.position[balls]
@@ -200,7 +194,7 @@ def _held(rng: Rng, n: int) -> list[Case]:
     windy, led = dim == 3 and rng.random() < 0.3, rng.random() < 0.4
     scenes = []
     for k in range(n):
-        scene = _blank(rng, dim, 10.0)
+        scene = blank(dim, 10.0)
         balls = _object(rng, scene, kinds[k % 2])
         pinned = balls[: int(rng.integers(1, 5))]
         scene.set_balls(pinned, pinned=True)
@@ -221,7 +215,7 @@ def _landing(rng: Rng, n: int, two: bool = False) -> list[Case]:
     e = float(rng.choice([0.0, 0.5]))
     scenes = []
     for k in range(n if kind != "mesh" else 3):
-        scene = _blank(rng, dim, 10.0, e, float(rng.choice([0.0, 0.5])))
+        scene = blank(dim, 10.0, e, float(rng.choice([0.0, 0.5])))
         first = _object(rng, scene, kinds[k % 2])
         _moved(rng, scene, first, 0.03 + rng.uniform(0.0, 0.05), 0.3)
         scene.set_balls(first, velocity=np.r_[rng.normal(0.0, 0.5), -rng.uniform(0.0, 2.0), np.zeros(dim - 2)])
@@ -247,7 +241,7 @@ def _resting(rng: Rng, n: int) -> list[Case]:
     kind = str(rng.choice(["wall", "box"]))
     scenes = []
     for k in range(n):
-        scene = _blank(rng, dim, 10.0, 0.0, 0.5)
+        scene = blank(dim, 10.0, 0.0, 0.5)
         balls = _object(rng, scene, kinds[k % 2])
         _moved(rng, scene, balls, 0.035, 0.0)
         ground(scene, kind, "m")
@@ -260,7 +254,7 @@ def _torn(rng: Rng, n: int) -> list[Case]:
     kind, method = str(rng.choice(SHEETS)), str(rng.choice(["verlet", *IMPLICIT]))
     scenes = []
     for _ in range(n):
-        scene = _blank(rng, 3, 10.0)
+        scene = blank(3, 10.0)
         balls = _object(rng, scene, kind, break_strain=float(rng.uniform(0.02, 0.2)))
         scene.set_balls(balls[:2], pinned=True)
         heavy = scene.add_balls(
@@ -278,7 +272,7 @@ def _driven(rng: Rng, n: int) -> list[Case]:
     moves = rng.random() < 0.6
     scenes = []
     for _ in range(n):
-        scene = _blank(rng, dim, 10.0, 0.0, 0.4)
+        scene = blank(dim, 10.0, 0.0, 0.4)
         balls = _object(rng, scene, kind)
         _moved(rng, scene, balls, 0.035, 0.0)
         pairs = np.stack([balls[:2], balls[-2:]], axis=1)

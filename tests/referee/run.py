@@ -24,7 +24,7 @@ class Family:
     """Random scenes of one kind. draw(rng, n): n of them that may run together; relations: names of what they must obey."""
 
     name: str
-    draw: Callable[[np.random.Generator, int], list[Case]]
+    draw: Callable[[np.random.Generator, int], Iterable[Case]]
     relations: tuple[str, ...]
     batch: int = 12  # scenes drawn at once
 
@@ -78,7 +78,7 @@ Tallies = dict[tuple[str, str], Tally]
 
 def redrawn(family: Family, seed: int, batch: int, number: int) -> Case:
     """The scene of that number in a batch of `referee`."""
-    return family.draw(np.random.default_rng([seed, batch]), family.batch)[number]
+    return list(family.draw(np.random.default_rng([seed, batch]), family.batch))[number]
 
 
 def referee(
@@ -100,7 +100,7 @@ def referee(
     while done < scenes:
         family = chosen[batch % len(chosen)]
         start = time.perf_counter()
-        cases = family.draw(np.random.default_rng([seed, batch]), family.batch)
+        cases = list(family.draw(np.random.default_rng([seed, batch]), family.batch))
         found = judge(cases, family.relations)
         took = time.perf_counter() - start
         for k, (case, findings) in enumerate(zip(cases, found)):

@@ -1,11 +1,13 @@
 """Random scenes of balls on solid things that others stand for, and of colliders that move; and a bit of everything."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 import taichi_sim as ts
 
 from .agreement import PROCESSES, VIEWS
-from .bounces import VERLET, log, scattered, up
+from .bounces import VERLET, blank, log, scattered, up
 from .observe import Case
 
 __all__ = ["SOLIDS"]
@@ -15,10 +17,10 @@ STEPS = {**VERLET, "dt": 2.0**-10, "substeps": 1}
 FINE = {**VERLET, "dt": 2.0**-12, "substeps": 1}  # contacts of sticks and cloth are found at whole steps
 
 
-def _matter(rng: Rng, scene: ts.Scene, most: float = 1.0) -> None:
-    """A material m of any bounciness and friction."""
+def _matter(rng: Rng, dim: int, g: float, most: float = 1.0) -> ts.Scene:
+    """A scene with gravity and a material m of any bounciness and friction."""
     e = float(rng.choice([0.0, most, rng.uniform(0.0, most)]))
-    scene.add_material("m", restitution=e, friction=float(rng.choice([0.0, rng.uniform(0.1, 0.8)])))
+    return blank(dim, g, e, float(rng.choice([0.0, rng.uniform(0.1, 0.8)])))
 
 
 def _balls(rng: Rng, scene: ts.Scene, x: np.ndarray, v: np.ndarray) -> None:
@@ -32,12 +34,11 @@ def _balls(rng: Rng, scene: ts.Scene, x: np.ndarray, v: np.ndarray) -> None:
         scene.add_balls([place], radius=r, velocity=speed, mass=mass, material=own, body=body)
 
 
-def _thrown(rng: Rng, n: int) -> list[Case]:
+def _thrown(rng: Rng, n: int) -> Iterator[Case]:
     """Balls thrown at a level wall, one by one; gravity pulls along it too."""
     dim = int(rng.integers(2, 4))
     gravity = up(dim, float(rng.choice([0.0, 5.0, 10.0])))
     gravity[0] = rng.uniform(-2.0, 2.0)
-    cases = []
     for _ in range(n):
         scene = ts.Scene(dim, gravity)
         v = rng.normal(0.0, 2.0, (6, dim))
@@ -47,33 +48,28 @@ def _thrown(rng: Rng, n: int) -> list[Case]:
         _balls(rng, scene, x, v)
         scene.set_balls(position=scene.position + np.outer(scene.radius, np.eye(dim)[1]))
         scene.add_wall(np.eye(dim)[1], 0.0, "m")
-        cases.append(Case(scene, STEPS, 0.35, 14))
-    return cases
+        yield Case(scene, STEPS, 0.35, 14)
 
 
-def _heaps(rng: Rng, n: int) -> list[Case]:
+def _heaps(rng: Rng, n: int) -> Iterator[Case]:
     """Small crowds that come down on a level wall."""
     dim = int(rng.integers(2, 4))
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim, up(dim, 10.0))
-        _matter(rng, scene, 0.5)
+        scene = _matter(rng, dim, 10.0, 0.5)
         k = int(rng.integers(5, 20))
         x = scattered(rng, k, dim, 0.5)
         v = rng.normal(0.0, 0.5, x.shape) + np.eye(dim)[0] * rng.uniform(0.0, 2.0)
         r = rng.uniform(0.4, 1.0, k) * 0.34 * 0.5 / np.ceil(k ** (1 / dim))
         scene.add_balls(x, radius=r, velocity=v, mass=(r / 0.05) ** dim, material="m")
         scene.add_wall(np.eye(dim)[1], 0.0, "m")
-        cases.append(Case(scene, VERLET, 0.3, 6))
-    return cases
+        yield Case(scene, VERLET, 0.3, 6)
 
 
-def _on_sticks(rng: Rng, n: int) -> list[Case]:
+def _on_sticks(rng: Rng, n: int) -> Iterator[Case]:
     """Balls that fall on a stick, a line that is pinned or moves, one by one. When a contact is noticed differs by a step, so
     that they differ from a capsule by a part of the motion that goes with the step: up to 0.033 of it at 1 / 4096 s."""
     dim, moves = int(rng.integers(2, 4)), rng.random() < 0.5
     g = float(rng.choice([0.0, 10.0]))
-    cases = []
     for _ in range(n):
         scene = ts.Scene(dim, up(dim, g))
         x, v = np.zeros((6, dim)), np.zeros((6, dim))
@@ -88,14 +84,12 @@ def _on_sticks(rng: Rng, n: int) -> list[Case]:
         scene.add_springs([ends], stiffness=1e3, collides=True)
         if moves:
             scene.add_moving_pins(ends, velocity=rng.uniform(-0.5, 0.5, dim))
-        cases.append(Case(scene, {**FINE, "dt": 0.5 * FINE["dt"]}, 0.35, 7))
-    return cases
+        yield Case(scene, {**FINE, "dt": 0.5 * FINE["dt"]}, 0.35, 7)
 
 
-def _on_cloth(rng: Rng, n: int) -> list[Case]:
+def _on_cloth(rng: Rng, n: int) -> Iterator[Case]:
     """Balls that fall on a flat sheet that is pinned everywhere, however it is cut into triangles, level or not, one by one."""
     g = float(rng.choice([0.0, 10.0]))
-    cases = []
     for _ in range(n):
         scene = ts.Scene(3, up(3, g))
         x, v = rng.uniform(-0.1, 0.1, (4, 3)), rng.uniform(-0.6, 0.6, (4, 3))
@@ -112,18 +106,15 @@ def _on_cloth(rng: Rng, n: int) -> list[Case]:
         ).reshape(k + 1, k + 1)
         a, b, c, d = (sheet[i : k + i, j : k + j].ravel() for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
         scene.add_triangles(np.concatenate([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)]), collides=True)
-        cases.append(Case(scene, FINE, 0.3, 6))
-    return cases
+        yield Case(scene, FINE, 0.3, 6)
 
 
-def _driven(rng: Rng, n: int) -> list[Case]:
+def _driven(rng: Rng, n: int) -> Iterator[Case]:
     """A few balls, far from chaos, and a collider that moves on, of any shape."""
     dim = int(rng.integers(2, 4))
     g = float(rng.choice([0.0, 10.0]))
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(dim, up(dim, g))
-        _matter(rng, scene)
+        scene = _matter(rng, dim, g)
         velocity = rng.normal(0.0, 1.0, dim)
         kind = str(rng.choice(["box", "sphere", "capsule", "room", "shell"]))
         how = {"velocity": velocity, "material": "m"}
@@ -147,16 +138,13 @@ def _driven(rng: Rng, n: int) -> list[Case]:
             x = np.array([[-0.7, 0.0, 0.0], [0.7, 0.05, 0.02]])[:, :dim] + rng.uniform(-0.05, 0.05, (2, dim))
             v = velocity - 2.5 * x
         scene.add_balls(x, radius=r, velocity=v, mass=log(rng, 0.3, 3.0, 2), material="m")
-        cases.append(Case(scene, STEPS, 0.3, 12, weighed=True))
-    return cases
+        yield Case(scene, STEPS, 0.3, 12, weighed=True)
 
 
-def _mixed(rng: Rng, n: int) -> list[Case]:
+def _mixed(rng: Rng, n: int) -> Iterator[Case]:
     """Jelly, cloth, sticks and balls that fall together on a floor and a ball that turns."""
-    cases = []
     for _ in range(n):
-        scene = ts.Scene(3, up(3, 10.0))
-        _matter(rng, scene, 0.5)
+        scene = _matter(rng, 3, 10.0, 0.5)
         bounce = float(rng.uniform(0.0, 0.5))
         scene.add_material("jelly", restitution=bounce, friction=0.3)
         ts.shapes.jelly(scene, (0.2, 0.2, 0.2), (3, 3, 3), material="jelly", position=(0.0, 0.1, 0.0))
@@ -171,8 +159,7 @@ def _mixed(rng: Rng, n: int) -> list[Case]:
         scene.add_springs([ends], stiffness=1e4, damping=1.0, collides=True)
         scene.add_wall((0, 1, 0), 0.0, "m")
         scene.add_collider(ts.Sphere((0.4, 0.0, 0.0), 0.12, rotation_rate=np.degrees((0.0, 3.0, 0.0)), material="m"))
-        cases.append(Case(scene, {**VERLET, "dt": 2.0**-10, "substeps": 2}, 0.25, 4))
-    return cases
+        yield Case(scene, {**VERLET, "dt": 2.0**-10, "substeps": 2}, 0.25, 4)
 
 
 # name: (draw, relations, scenes at once)

@@ -88,7 +88,7 @@ def _fails(family, seed, scenes, reason, relations=None, mark=None):
 @pytest.mark.slow_where(family=["pendulum", "folded_sheet", "sled", "balloon"])
 def test_relations(family, seed, scenes, relations):
     chosen = FAMILIES[family]
-    cases = chosen.draw(np.random.default_rng(seed), scenes)
+    cases = list(chosen.draw(np.random.default_rng(seed), scenes))
     found = judge(cases, relations or chosen.relations)
     assert any(f.figure is not None for findings in found for f in findings)
     failing = [
