@@ -13,10 +13,12 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.common.printable import printable
 
 __all__ = [
+    "amounts",
     "as_array",
     "attributes_read",
     "bits",
     "call",
+    "colour",
     "colours",
     "direction",
     "flags",
@@ -27,6 +29,7 @@ __all__ = [
     "one_of",
     "per_item",
     "require",
+    "rows",
     "rows_of_vectors",
     "strained",
     "strains",
@@ -77,12 +80,13 @@ def _array(where: str, value: ArrayLike, what: str, most: float = MOST_MAGNITUDE
     return array
 
 
-def require(where: str, value: Any, good: Any, allowed: str) -> None:
-    """Raise SceneError about the first bad item: `mass[3]` of many, `mass` where it is a lone number."""
+def require(where: str, value: Any, good: Any, allowed: str = "", says: str = "") -> None:
+    """Raise SceneError about the first item or row that is not good: `mass[3]` of many, `mass` where it is a lone number.
+    allowed, says: as of SceneError; a value `...` is not shown."""
     if not np.all(good):
-        array = np.asarray(value)
-        first = np.unravel_index(int(np.argmin(good)), array.shape)
-        raise SceneError(where + "".join(f"[{i}]" for i in first), array[first], allowed)
+        first = np.unravel_index(int(np.argmin(good)), np.shape(good))
+        shown = ... if value is ... else np.asarray(value)[first]
+        raise SceneError(where + "".join(f"[{i}]" for i in first), shown, allowed, says=says)
 
 
 def _shape(where: str, array: NDArray, good: bool, allowed: str) -> None:
@@ -157,6 +161,11 @@ def per_item(
     return np.broadcast_to(array, (n,)).astype(np.float64)
 
 
+def amounts(table: str, n: int, **given: ArrayLike | None) -> dict[str, NDArray[np.float64]]:
+    """Columns of n rows of a table, by name: numbers of at least 0, one or one per row, of what is given. SceneError."""
+    return {name: per_item(f"{table}.{name}", one, n, low=0) for name, one in given.items() if one is not None}
+
+
 def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:
     """Positive strains, one or one per item, infinite or None where nothing breaks, as an array of shape (n,). SceneError."""
     if value is None:
@@ -171,12 +180,8 @@ def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:
 
 def strained(strain: NDArray[np.float64], rest_length: NDArray[np.float64]) -> None:
     """Raise SceneError where a spring without a rest length should tear at a finite strain (m,)."""
-    none = np.isfinite(strain) & (rest_length == 0.0)
-    if none.any():
-        raise SceneError(
-            f"springs.break_strain[{int(np.argmax(none))}]",
-            says="this spring has rest length 0, so it has no strain; give it a rest length, or leave break_strain out",
-        )
+    says = "this spring has rest length 0, so it has no strain; give it a rest length, or leave break_strain out"
+    require("springs.break_strain", ..., ~np.isfinite(strain) | (rest_length != 0.0), says=says)
 
 
 def vectors(where: str, value: ArrayLike, n: int | None, dim: int) -> NDArray[np.float64]:
@@ -236,11 +241,9 @@ def indices(
         raise SceneError(where, value, says="is not a list of integers")
     fits = array.ndim == 1 if width is None else array.ndim == 2 and array.shape[1] == width
     _shape(where, array, fits, "(k,)" if width is None else f"(k, {width})")
-    bad = ((array < 0) | (array >= limit)).reshape(len(array), -1).any(axis=1)
-    if bad.any():
-        first = int(np.argmax(bad))
-        allowed = f"from 0 to {limit - 1}" if limit else "but there is none"
-        raise SceneError(f"{where}[{first}]", array[first], says=f"is not allowed; it must name a {what}, {allowed}")
+    good = ((array >= 0) & (array < limit)).reshape(len(array), -1).all(axis=1)
+    allowed = f"from 0 to {limit - 1}" if limit else "but there is none"
+    require(where, array, good, says=f"is not allowed; it must name a {what}, {allowed}")
     return array.astype(np.int32)
 
 
@@ -248,9 +251,19 @@ def corners(where: str, value: ArrayLike, limit: int, width: int) -> NDArray[np.
     """Different balls of each element, of one or of many, (e, width). Raises SceneError."""
     found = indices(where, many(value, 1), limit, width=width)
     ordered = np.sort(found, axis=1)
-    for k in np.flatnonzero((ordered[:, 1:] == ordered[:, :-1]).any(axis=1)):
-        raise SceneError(f"{where}[{k}]", found[k], says=f"names a ball twice; give {width} different")
+    different = (ordered[:, 1:] != ordered[:, :-1]).all(axis=1)
+    require(where, found, different, says=f"names a ball twice; give {width} different")
     return found
+
+
+def rows(where: str, value: Any, n: int) -> NDArray[np.int64]:
+    """Indices (k,) of rows named by indices, by a bool each or by a slice. Raises SceneError."""
+    if isinstance(value, slice):
+        return np.arange(n)[value]
+    array = np.atleast_1d(as_array(value))
+    if array.dtype == np.bool_:
+        return np.flatnonzero(flags(where, array, n))
+    return indices(where, array, n, what=where.removesuffix("s")).astype(np.int64)
 
 
 def bits(where: str, value: ArrayLike) -> NDArray[np.int32]:
@@ -261,6 +274,12 @@ def bits(where: str, value: ArrayLike) -> NDArray[np.int32]:
     _shape(where, array, array.ndim == 1, "(k,)")
     require(where, array, (array >= -(2**31)) & (array < 2**31), "an integer of 32 bits")
     return array.astype(np.int32)
+
+
+def colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:
+    """One colour from 0 to 1. Raises SceneError."""
+    red, green, blue = per_item(where, value, 3, low=0, high=1).tolist()
+    return red, green, blue
 
 
 def colours(where: str, value: ArrayLike) -> NDArray[np.float64]:

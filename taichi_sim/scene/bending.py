@@ -54,18 +54,13 @@ class BendingMethods:
         if w.shape != ij.shape:
             says = f"shape {w.shape} does not fit; it must be {ij.shape}, as corners"
             raise SceneError("bending.weights", says=says)
-        off = np.abs(w.sum(axis=1)) > 1e-9 * np.abs(w).max(axis=1, initial=1e-300)
-        if off.any():
-            k = int(np.argmax(off))
-            raise SceneError(f"bending.weights[{k}]", w[k], "four numbers whose sum is 0")
-        strength = validation.per_item("bending.stiffness", stiffness, len(ij), low=0)
-        loss = validation.per_item("bending.damping", damping, len(ij), low=0)
+        good = np.abs(w.sum(axis=1)) <= 1e-9 * np.abs(w).max(axis=1, initial=1e-300)
+        validation.require("bending.weights", w, good, "four numbers whose sum is 0")
+        columns = validation.amounts("bending", len(ij), stiffness=stiffness, damping=damping)
         sides = validation.flags("bending.hinge", hinge, len(ij))
-        ends = w[:, 2:][sides]
-        if np.any(ends[:, 0] * ends[:, 1] <= 0.0):
-            k = int(np.flatnonzero(sides)[np.argmax(ends[:, 0] * ends[:, 1] <= 0.0)])
-            raise SceneError(f"bending.weights[{k}]", w[k], "of a hinge: the last two of one sign, and not 0")
-        self.tables["bending"].append(len(ij), corners=ij, weights=w, stiffness=strength, damping=loss, hinge=sides)
+        good = ~sides | (w[:, 2] * w[:, 3] > 0.0)
+        validation.require("bending.weights", w, good, "of a hinge: the last two of one sign, and not 0")
+        self.tables["bending"].append(len(ij), corners=ij, weights=w, hinge=sides, **columns)
 
     def held_bending(self: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Stiffness (b,) [N/m] and damping (b,) [N s/m] of the bending elements as they act with the present pins, see
@@ -84,10 +79,7 @@ class BendingMethods:
 
     def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""
-        new = {}
-        for name, given in (("stiffness", stiffness), ("damping", damping)):
-            if given is not None:
-                new[name] = validation.per_item(f"bending.{name}", given, len(self.bends), low=0)
+        new = validation.amounts("bending", len(self.bends), stiffness=stiffness, damping=damping)
         self.tables["bending"].replace(slice(None), **new)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
 from taichi_sim.scene.neo_hookean import CANCELLING, STRETCHED, columns, density, lame
 from taichi_sim.scene.part import Columns, Element
@@ -68,8 +67,7 @@ class BrickMethods:
             size = _present_size(self.position[ij])
         else:
             size = validation.vectors("bricks.rest_size", rest_size, b, dim)
-            for k in np.flatnonzero((size <= 0).any(axis=1)):
-                raise SceneError(f"bricks.rest_size[{k}]", size[k], "positive")
+            validation.require("bricks.rest_size", size, (size > 0).all(axis=1), "positive")
         return self.tables["bricks"].append(b, corners=ij, rest_size=size, **material)  # type: ignore[no-any-return]
 
 
@@ -89,9 +87,8 @@ def _present_size(x: Floats) -> Floats:
     across = np.einsum("bsa,bta->bst", sides, sides) - np.einsum("bs,st->bst", size**2, np.eye(dim))
     off |= np.abs(across).max(axis=(1, 2), initial=0.0) > slack * size.max(axis=1, initial=0.0)
     off |= np.linalg.det(sides) <= slack**dim
-    for k in np.flatnonzero(off):
-        says = "is no box now, or its corners are in another order; give a rest_size, or the order of add_bricks"
-        raise SceneError(f"bricks.corners[{k}]", says=says)
+    says = "is no box now, or its corners are in another order; give a rest_size, or the order of add_bricks"
+    validation.require("bricks.corners", ..., ~off, says=says)
     return size
 
 

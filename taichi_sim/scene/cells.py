@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
 from taichi_sim.scene.part import Columns, Element, Quadratic
 
@@ -62,29 +61,21 @@ class CellMethods:
         """
         ij = validation.corners("cells.corners", corners, self.n_balls, self.dim + 1)
         c = len(ij)
-        modulus = validation.per_item("cells.bulk_modulus", bulk_modulus, c, low=0)
-        crush = validation.per_item("cells.crush_modulus", crush_modulus, c, low=0)
+        moduli = validation.amounts("cells", c, bulk_modulus=bulk_modulus, crush_modulus=crush_modulus)
         present = cell_volumes(self.position, ij)
         if rest_volume is None:
             edge = np.abs(self.position[ij] - self.position[ij[:, :1]]).max(axis=(1, 2), initial=0.0)
-            flat = np.abs(present) <= FLAT_CELL * edge**self.dim
-            if flat.any():
-                k = int(np.argmax(flat))
-                says = "is flat now; give a rest_volume, or corners that span a volume"
-                raise SceneError(f"cells.corners[{k}]", ij[k], says=says)
+            says = "is flat now; give a rest_volume, or corners that span a volume"
+            validation.require("cells.corners", ij, np.abs(present) > FLAT_CELL * edge**self.dim, says=says)
             ij[present < 0] = ij[present < 0][:, [1, 0, *range(2, self.dim + 1)]]
             rest = np.abs(present)
         else:
             rest = validation.per_item("cells.rest_volume", rest_volume, c, positive=True)
         shared = validation.per_item("cells.together", -1 if together is None else together, c, low=-1)
-        broken = shared != np.round(shared)
-        if broken.any():
-            k = int(np.argmax(broken))
-            raise SceneError(f"cells.together[{k}]", shared[k], "a whole number")
+        validation.require("cells.together", shared, shared == np.round(shared), "a whole number")
         before = int(self.cells_together.max(initial=-1)) + 1
         shared = np.where(shared < 0, -1, shared + before).astype(np.int32)
-        columns = {"bulk_modulus": modulus, "crush_modulus": crush, "rest_volume": rest, "together": shared}
-        return self.tables["cells"].append(c, corners=ij, **columns)  # type: ignore[no-any-return]
+        return self.tables["cells"].append(c, corners=ij, rest_volume=rest, together=shared, **moduli)  # type: ignore[no-any-return]
 
 
 class _Cells(Columns, Element):

@@ -53,10 +53,8 @@ def build_surface(
     if len(shares) != len(balls):
         says = f"{len(shares)} rows do not fit; there must be {len(balls)}, as many as corners"
         raise SceneError(f"{where}.weights", says=says)
-    wrong = np.abs(shares.sum(axis=1) - 1.0) > SUM_TOLERANCE
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise SceneError(f"{where}.weights[{row}]", shares[row], "numbers that sum up to 1")
+    whole = np.abs(shares.sum(axis=1) - 1.0) <= SUM_TOLERANCE
+    validation.require(f"{where}.weights", shares, whole, "numbers that sum up to 1")
     faces = validation.indices(f"{where}.triangles", triangles, len(balls), width=3, what="vertex of the surface")
     hidden = validation.indices(f"{where}.covers", () if covers is None else covers, n_balls)
     places = None

@@ -64,31 +64,25 @@ class MembraneMethods:
         given = None if rest is None else validation.rows_of_vectors("membranes.rest", rest, t, 3, 2)
         flat = flattened(self.position[ij]) if given is None else given
         edges = flat[:, 1:] - flat[:, :1]
-        thin = np.linalg.det(edges) <= FLAT * np.sum(edges**2, axis=(1, 2))
-        if thin.any():
-            k = int(np.argmax(thin))
-            says = "has no area at rest, or its corners at rest are not in counter-clockwise order"
-            raise SceneError(f"membranes.corners[{k}]", ij[k], says=says)
-        one = validation.per_item("membranes.warp", warp, t, low=0)
-        other = one if weft is None else validation.per_item("membranes.weft", weft, t, low=0)
-        both = validation.per_item("membranes.coupling", coupling, t)
+        has_area = np.linalg.det(edges) > FLAT * np.sum(edges**2, axis=(1, 2))
+        says = "has no area at rest, or its corners at rest are not in counter-clockwise order"
+        validation.require("membranes.corners", ij, has_area, says=says)
+        columns = validation.amounts("membranes", t, warp=warp, weft=weft, shear=shear, damping=damping)
+        one, both = columns["warp"], validation.per_item("membranes.coupling", coupling, t)
+        other = columns.setdefault("weft", one)
         require_coupling("membranes.coupling", both, one, other)
         if shear is None and np.any(one != other):
             raise SceneError("membranes.shear", says="is missing; only where warp and weft are alike it has a default")
-        angle = 0.5 * (one - both) if shear is None else validation.per_item("membranes.shear", shear, t, low=0)
-        loss = validation.per_item("membranes.damping", damping, t, low=0)
-        columns = {"warp": one, "weft": other, "shear": angle, "coupling": both, "damping": loss}
-        return self.tables["membranes"].append(t, corners=ij, rest=flat, **columns)  # type: ignore[no-any-return]
+        columns.setdefault("shear", 0.5 * (one - both))
+        return self.tables["membranes"].append(t, corners=ij, rest=flat, coupling=both, **columns)  # type: ignore[no-any-return]
 
 
 def require_coupling(where: str, coupling: ArrayLike, warp: ArrayLike, weft: ArrayLike) -> None:
     """Raise SceneError for the first coupling [N/m] with which a strain of a sheet would give energy."""
     one, both = np.multiply(warp, weft), np.asarray(coupling)
-    over = both**2 > one * (1.0 + 1e-9)
-    if over.any():
-        most = np.sqrt(one.flat[int(np.argmax(over))])
-        allowed = f"at most {most:.4g}, the root of warp times weft, and at least minus that"
-        validation.require(where, both, ~over, allowed)
+    good = both**2 <= one * (1.0 + 1e-9)
+    most = np.sqrt(one.flat[int(np.argmin(good))]) if good.size else 0.0
+    validation.require(where, both, good, f"at most {most:.4g}, the root of warp times weft, and at least minus that")
 
 
 def flattened(x: Floats, direction: Floats | None = None) -> Floats:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, did_you_mean
 from taichi_sim.common.spelling import takes_color
+from taichi_sim.scene.balls import BallMethods
 from taichi_sim.scene.colliders import Collider, build
 from taichi_sim.scene.collision_groups import EVERY, Groups, bits_of
 from taichi_sim.scene.columns import Column, Names, sealed, tables_of
@@ -27,21 +28,19 @@ from taichi_sim.scene.motors import Motorised
 from taichi_sim.scene.moving_pins import PinMethods
 from taichi_sim.scene.objects import Objects
 from taichi_sim.scene.parts import LISTS, PARTS
-from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import PRESETS, Preset
 from taichi_sim.scene.probes import Probed
 from taichi_sim.scene.read_only import read_only, refuse
+from taichi_sim.scene.springs import SpringMethods
 from taichi_sim.scene.summary import as_html, in_words, parts_of
 from taichi_sim.scene.toml_writer import save_scene
 
 __all__ = ["Material", "Scene", "Wall", "max_restitution", "used_materials"]
 
-
-MOST_BODY = 2**31 - 1
 UNIT = 4e-16  # how far from 1 rounding leaves the length of a unit vector
 
 
-class Scene(Elements, PinMethods, Motorised, Probed, Objects):
+class Scene(BallMethods, SpringMethods, Elements, PinMethods, Motorised, Probed, Objects):
     """A world of balls, springs, walls, colliders and triangles in 2 or 3 dimensions, SI units.
 
     Args:
@@ -110,32 +109,6 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         self._may_change("output")
         self._output = output
 
-    @property
-    def n_balls(self) -> int:
-        """Number of balls."""
-        return self.tables["balls"].rows
-
-    @property
-    def n_springs(self) -> int:
-        """Number of springs, sticks included."""
-        return self.tables["springs"].rows
-
-    position = Column("balls", "position", "(n, dim) m", ("dim",))
-    velocity = Column("balls", "velocity", "(n, dim) m/s; 0 for pinned balls", ("dim",))
-    mass = Column("balls", "mass", "(n,) kg")
-    radius = Column("balls", "radius", "(n,) m")
-    pinned = Column("balls", "pinned", "(n,) bool", dtype=bool)
-    material = Column("balls", "material", "(n,) index into materials", dtype=np.int32)
-    body = Column("balls", "body", "(n,) balls of one body > 0 do not collide; 0: no body", dtype=np.int32)
-    group = Column("balls", "group", "(n,) bits of the groups each is in, see groups.names", dtype=np.int32)
-    mask = Column("balls", "mask", "(n,) bits of the groups each collides with; -1: all", dtype=np.int32)
-    colour = Column("balls", "colour", "(n, 3) sRGB in 0..1; nan: the renderer chooses", (3,))
-    pairs = Column("springs", "pairs", "(m, 2) the balls of each spring", (2,), np.int32)
-    stiffness = Column("springs", "stiffness", "(m,) N/m")
-    damping = Column("springs", "damping", "(m,) N s/m")
-    rest_length = Column("springs", "rest_length", "(m,) m")
-    collides = Column("springs", "collides", "(m,) bool; True: a stick that balls bounce off", dtype=bool)
-    break_strain = Column("springs", "break_strain", "(m,) strain at which it tears; inf: never")
     triangles = Column("triangles", "triangles", "(t, 3) balls, counter-clockwise from outside", (3,), np.int32)
     solid = Column("triangles", "collides", "(t,) bool; True: triangles that nothing goes through", dtype=bool)
 
@@ -168,144 +141,13 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             validation.number("materials.restitution", restitution, low=0, high=1),
             validation.number("materials.friction", friction, low=0),
             validation.number("materials.viscous_friction", viscous_friction, low=0),
-            None if colour is None else _colour("materials.colour", colour),
+            None if colour is None else validation.colour("materials.colour", colour),
         )
         if name == "default":
             self.materials[0] = new
         else:
             self.materials.append(new)
         return name
-
-    @takes_color
-    def add_balls(
-        self,
-        position: ArrayLike,
-        *,
-        radius: ArrayLike,
-        velocity: ArrayLike = 0.0,
-        mass: ArrayLike = 1.0,
-        material: str = "default",
-        pinned: Pins = False,
-        colour: Sequence[float] | None = None,
-        body: int = 0,
-        group: str | Sequence[str] = "default",
-        collides_with: str | Sequence[str] | None = None,
-    ) -> NDArray[np.int32]:
-        """Add n balls and return their indices, shape (n,).
-
-        Args:
-            position: (n, dim) [m], or one vector (dim,) for one ball.
-            radius: one or one per ball, > 0 [m]; mass: one or one per ball, > 0 [kg].
-            velocity: one vector or one per ball [m/s].
-            material: name of a material added before, or of a preset (`taichi-sim materials`).
-            pinned: a bool, a bool per ball, or integer positions within this call. Or "border", "corners", "left", "right",
-                "bottom", "top", in 3D "front", "back", of the box around these balls. Or a ts.Box, ts.Sphere or ts.Capsule (in a
-                file a table of its keys) for all with their centre in it. Or a list of such. A pinned ball never moves.
-            colour: sRGB in 0..1 [1] for all of them; chosen by the renderer otherwise.
-            body: balls of the same body > 0 (see new_body) do not collide with each other.
-            group: name or names of the collision groups that they are in, 32 different ones in a scene at most.
-            collides_with: names of the groups that they collide with; None: all, []: none. Two things collide where each is
-                in a group that the other collides with. A stick is in the groups of its first ball.
-        """
-        x = validation.vectors("balls.position", validation.many(position, 1), None, self.dim)
-        n = len(x)
-        body = validation.whole("balls.body", body, 0, MOST_BODY)
-        held = chosen("balls.pinned", pinned, x)
-        rest = isinstance(velocity, (int, float)) and velocity == 0
-        v = np.zeros_like(x) if rest else validation.vectors("balls.velocity", velocity, n, self.dim)
-        v[held] = 0.0
-        columns = {
-            "position": x,
-            "velocity": v,
-            "mass": validation.per_item("balls.mass", mass, n, positive=True),
-            "radius": validation.per_item("balls.radius", radius, n, positive=True),
-            "pinned": held,
-            "body": np.full(n, body, dtype=np.int32),
-            "colour": np.tile(np.full(3, np.nan) if colour is None else _colour("balls.colour", colour), (n, 1)),
-        }
-        for name, bits in zip(("group", "mask"), self._groups("balls", group, collides_with)):
-            columns[name] = np.full(n, bits, dtype=np.int32)
-        columns["material"] = np.full(n, self._material("balls.material", material), dtype=np.int32)
-        self._bodies = max(self._bodies, body)
-        return self.tables["balls"].append(n, **columns)
-
-    def _add_ball_columns(
-        self,
-        position: NDArray,
-        velocity: NDArray,
-        mass: NDArray,
-        radius: NDArray,
-        pinned: NDArray,
-        material: NDArray,
-        body: NDArray,
-        group: NDArray,
-        mask: NDArray,
-        colour: NDArray,
-    ) -> None:
-        """Add balls from all columns of their table; materials and groups are there already."""
-        n = len(validation.vectors("balls.position", position, None, self.dim))
-        columns: dict[str, NDArray] = {
-            "position": validation.vectors("balls.position", position, n, self.dim),
-            "velocity": validation.vectors("balls.velocity", velocity, n, self.dim),
-            "mass": validation.per_item("balls.mass", mass, n, positive=True),
-            "radius": validation.per_item("balls.radius", radius, n, positive=True),
-            "pinned": validation.flags("balls.pinned", pinned, n),
-            "material": validation.indices("balls.material", material, len(self.materials), what="material"),
-            "body": validation.indices("balls.body", body, MOST_BODY + 1, what="body"),
-            "group": validation.bits("balls.group", group),
-            "mask": validation.bits("balls.mask", mask),
-            "colour": validation.colours("balls.colour", colour),
-        }
-        for name, column in columns.items():
-            if len(column) != n:
-                says = f"shape {column.shape} does not fit; it must have as many rows as balls.position, {n}"
-                raise SceneError(f"balls.{name}", says=says)
-        loose = ~columns["pinned"][:, None]
-        validation.require("balls.velocity", columns["velocity"], loose | (columns["velocity"] == 0), "0, it is pinned")
-        self.groups.check_bits("balls", columns["group"], columns["mask"])
-        self.tables["balls"].append(n, **columns)
-        self._bodies = max(self._bodies, int(columns["body"].max(initial=0)))
-
-    def add_springs(
-        self,
-        pairs: ArrayLike,
-        *,
-        stiffness: ArrayLike,
-        damping: ArrayLike = 0.0,
-        rest_length: ArrayLike | None = None,
-        collides: bool | Sequence[bool] | NDArray = False,
-        break_strain: ArrayLike | None = None,
-    ) -> NDArray[np.int32]:
-        """Add m springs and return their indices, shape (m,).
-
-        Args:
-            pairs: (m, 2) ball indices, or one pair.
-            stiffness: one or one per spring, >= 0 [N/m]; damping: along the spring, one or one per spring, >= 0 [N s/m].
-            rest_length: one or one per spring, >= 0 [m]; None: the present distance.
-            collides: True makes it a stick that balls bounce off; one or one per spring.
-            break_strain: (length - rest_length) / rest_length at which it tears for good, > 0 [1]; None or inf: never.
-        """
-        ij = validation.indices("springs.pairs", validation.many(pairs, 1), self.n_balls, width=2)
-        m = len(ij)
-        itself = ij[:, 0] == ij[:, 1]
-        if itself.any():
-            k = int(np.argmax(itself))
-            raise SceneError(f"springs.pairs[{k}]", ij[k], says="joins a ball to itself; give two different balls")
-        if rest_length is None:
-            x = self.position
-            rest = np.linalg.norm(x[ij[:, 1]] - x[ij[:, 0]], axis=1)
-        else:
-            rest = validation.per_item("springs.rest_length", rest_length, m, low=0)
-        columns = {
-            "pairs": ij,
-            "stiffness": validation.per_item("springs.stiffness", stiffness, m, low=0),
-            "damping": validation.per_item("springs.damping", damping, m, low=0),
-            "rest_length": rest,
-            "collides": validation.flags("springs.collides", collides, m),
-            "break_strain": validation.strains("springs.break_strain", break_strain, m),
-        }
-        self._may_tear(columns["collides"], columns["break_strain"], rest)
-        return self.tables["springs"].append(m, **columns)
 
     def add_wall(
         self,
@@ -370,9 +212,9 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
         solid = validation.flags("triangles.collides", collides, len(t))
         if solid.any() and self.dim != 3:
             raise SceneError("triangles.collides", says="needs a scene with dim = 3; in 2D use springs that collide")
-        for k in np.flatnonzero(solid & np.any(t == np.roll(t, 1, axis=1), axis=1)):
-            says = "may not collide; it must be three different balls"
-            raise SceneError(f"triangles.triangles[{k}]", t[k], says=says)
+        flat = np.any(t == np.roll(t, 1, axis=1), axis=1)
+        says = "may not collide; it must be three different balls"
+        validation.require("triangles.triangles", t, ~(solid & flat), says=says)
         self.tables["triangles"].append(len(t), triangles=t, collides=solid)
 
     @takes_color
@@ -395,108 +237,11 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             uv: (t, 3, 2) places of the corners of its triangles on a texture, v upward [1]; None: there are none.
         """
         where = f"embedded_surfaces[{len(self.embedded_surfaces)}]"
-        tint = None if colour is None else _colour(f"{where}.colour", colour)
+        tint = None if colour is None else validation.colour(f"{where}.colour", colour)
         self.embedded_surfaces.append(build_surface(where, self.n_balls, corners, weights, triangles, covers, tint, uv))
         return len(self.embedded_surfaces) - 1
 
-    def new_body(self) -> int:
-        """A fresh number for `add_balls(body=...)`: balls that share it do not collide with each other."""
-        self._bodies = validation.whole("balls.body", self._bodies + 1, 0, MOST_BODY)
-        return self._bodies
-
     # What can be changed -------------------------------------------------------------------------------------------
-
-    def set_balls(
-        self,
-        balls: Any = slice(None),
-        *,
-        position: ArrayLike | None = None,
-        velocity: ArrayLike | None = None,
-        mass: ArrayLike | None = None,
-        radius: ArrayLike | None = None,
-        pinned: Pins | None = None,
-        material: str | Sequence[str] | None = None,
-        body: int | ArrayLike | None = None,
-    ) -> None:
-        """Change balls that were added before; what is left None stays.
-
-        Args:
-            balls: indices (k,), a bool for each ball of the scene, or a slice; all by default.
-            position, velocity, mass, radius, pinned, material, body: as for `add_balls`, of these k balls; material and body:
-                one, or one per ball. Pinned balls keep velocity 0. Rest lengths of springs stay as they are.
-        """
-        index = _rows("balls", balls, self.n_balls)
-        k = len(index)
-        new: dict[str, NDArray] = {}
-        if position is not None:
-            new["position"] = validation.vectors("balls.position", position, k, self.dim)
-        if mass is not None:
-            new["mass"] = validation.per_item("balls.mass", mass, k, positive=True)
-        if radius is not None:
-            new["radius"] = validation.per_item("balls.radius", radius, k, positive=True)
-        if material is not None:
-            names = [material] * k if isinstance(material, str) else list(material)
-            if len(names) != k:
-                raise SceneError("balls.material", says=f"gives {len(names)} names; it must be one, or {k} of them")
-            new["material"] = np.array([self._material("balls.material", name) for name in names], dtype=np.int32)
-        if body is not None:
-            bodies = validation.per_item("balls.body", body, k, low=0, high=2**31 - 1)
-            for at in np.flatnonzero(bodies != np.round(bodies)):
-                raise SceneError(f"balls.body[{at}]", bodies[at], "a whole number")
-            new["body"] = bodies.astype(np.int32)
-        x = self.position[index]
-        held = self.pinned[index] if pinned is None else chosen("balls.pinned", pinned, new.get("position", x))
-        for pins in self.moving_pins:
-            loose = index[~held & np.isin(index, pins.balls)]
-            if len(loose):
-                raise SceneError("balls.pinned", says=f"ball {loose[0]} is led along a path; it stays pinned")
-        if pinned is not None or velocity is not None:
-            v = (
-                self.velocity[index]
-                if velocity is None
-                else validation.vectors("balls.velocity", velocity, k, self.dim)
-            )
-            v[held] = 0.0
-            new |= {"pinned": held, "velocity": v}
-        self.tables["balls"].replace(index, **new)
-
-    def set_springs(
-        self,
-        springs: Any = slice(None),
-        *,
-        stiffness: ArrayLike | None = None,
-        damping: ArrayLike | None = None,
-        rest_length: ArrayLike | None = None,
-        break_strain: ArrayLike | None = None,
-    ) -> None:
-        """Change springs that were added before; what is left None stays.
-
-        Args:
-            springs: indices (k,), a bool for each spring of the scene, or a slice; all by default.
-            stiffness, damping, rest_length, break_strain: as for `add_springs`, of these k springs.
-        """
-        index = _rows("springs", springs, self.n_springs)
-        k = len(index)
-        new: dict[str, NDArray] = {}
-        for name, given in (("stiffness", stiffness), ("damping", damping), ("rest_length", rest_length)):
-            if given is not None:
-                new[name] = validation.per_item(f"springs.{name}", given, k, low=0)
-        if break_strain is not None:
-            new["break_strain"] = validation.strains("springs.break_strain", break_strain, k)
-        self._may_tear(
-            self.collides[index],
-            new.get("break_strain", self.break_strain[index]),
-            new.get("rest_length", self.rest_length[index]),
-        )
-        self.tables["springs"].replace(index, **new)
-
-    def set_group(
-        self, balls: ArrayLike, group: str | Sequence[str], collides_with: str | Sequence[str] | None = None
-    ) -> None:
-        """Put balls (k,) that were added before, a shape's for instance, into other collision groups."""
-        index = validation.indices("balls", np.atleast_1d(validation.as_array(balls)), self.n_balls)
-        group_bits, mask_bits = self._groups("balls", group, collides_with)
-        self.tables["balls"].replace(index, group=group_bits, mask=mask_bits)
 
     def has_groups(self) -> bool:
         """True if any collision group matters. Raises SceneError where something collides with a group that nobody is in."""
@@ -613,27 +358,3 @@ class Scene(Elements, PinMethods, Motorised, Probed, Objects):
             if member == 0:
                 raise SceneError(f"{where}.group", group, "a name, or a list of names")
             return member, self.groups.bits(f"{where}.collides_with", collides_with)
-
-    @staticmethod
-    def _may_tear(collides: NDArray[np.bool_], strain: NDArray[np.float64], rest_length: NDArray[np.float64]) -> None:
-        """Raise SceneError for the first spring (k,) that cannot tear at its strain."""
-        both = collides & np.isfinite(strain)
-        if both.any():
-            k = int(np.argmax(both))
-            raise SceneError(f"springs.break_strain[{k}]", says="a stick, which collides, cannot tear")
-        validation.strained(strain, rest_length)
-
-
-def _rows(where: str, rows: Any, n: int) -> NDArray[np.int64]:
-    """Indices (k,) of rows named by indices, by a bool each or by a slice."""
-    if isinstance(rows, slice):
-        return np.arange(n)[rows]
-    array = np.atleast_1d(validation.as_array(rows))
-    if array.dtype == np.bool_:
-        return np.flatnonzero(validation.flags(where, array, n))
-    return validation.indices(where, array, n, what=where.removesuffix("s")).astype(np.int64)
-
-
-def _colour(where: str, value: Sequence[float]) -> tuple[float, float, float]:
-    rgb = validation.per_item(where, value, 3, low=0, high=1)
-    return (float(rgb[0]), float(rgb[1]), float(rgb[2]))

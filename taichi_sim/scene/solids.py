@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.columns import Column
 from taichi_sim.scene.neo_hookean import CANCELLING, STRETCHED, columns, density, lame
@@ -66,12 +65,9 @@ class SolidMethods:
         else:
             places = validation.rows_of_vectors("solids.rest", rest, e, dim + 1, dim)
         sides = places[:, 1:] - places[:, :1]
-        flat = np.linalg.det(sides) <= FLAT * np.abs(sides).max(axis=(1, 2), initial=0.0) ** dim
-        for k in np.flatnonzero(flat):
-            says = (
-                "is flat now; give its rest" if rest is None else "has no volume at rest, or corners in another order"
-            )
-            raise SceneError(f"solids.corners[{k}]", ij[k], says=says)
+        has_volume = np.linalg.det(sides) > FLAT * np.abs(sides).max(axis=(1, 2), initial=0.0) ** dim
+        says = "is flat now; give its rest" if rest is None else "has no volume at rest, or corners in another order"
+        validation.require("solids.corners", ij, has_volume, says=says)
         material = columns("solids", e, dim, young_modulus, poisson_ratio, viscosity)
         return self.tables["solids"].append(e, corners=ij, rest=places, **material)  # type: ignore[no-any-return]
 
