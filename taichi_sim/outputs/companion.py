@@ -71,9 +71,9 @@ class Companion:
     """Keeps what the first run starts from and reads, and repeats it at half the step with other rounding.
 
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
-    so that both runs enclose the scene as it is meant. What was settled is settled further. Methods of first order, contacts and tearing get a third run at a quarter
-    of the step: the order of such methods may not be seen at large steps, and contacts and tearing, which begin and end somewhere
-    within a step, show none. No number is known better than to the rounding of its own size.
+    so that both runs enclose the scene as it is meant. What was settled is settled further. Methods of first order, contacts and
+    tearing get a third run at a quarter of the step: the order of such methods may not be seen at large steps, and contacts and
+    tearing, which begin and end somewhere within a step, show none. No number is known better than to the rounding of its own size.
     """
 
     def __init__(self, simulation: Any) -> None:
@@ -163,7 +163,7 @@ class Companion:
         return _Run(again.position[free], again.energy().total, _by_name(found))
 
     def _settle_further(self, again: Any) -> bool:
-        """Bring the second run closer to rest than the first began; False where that was not asked for, or rounding forbids it."""
+        """Bring the second run closer to rest than the first began; False where nothing was settled, or rounding forbids it."""
         left = self._settled
         if left is None or not left.residual or not left.load:
             return False
