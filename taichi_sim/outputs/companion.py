@@ -73,7 +73,7 @@ class Companion:
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
     so that both runs enclose the scene as it is meant. What was settled is settled further. Methods of first order, contacts and
     tearing get a third run at a quarter of the step: the order of such methods may not be seen at large steps, and contacts and
-    tearing, which begin and end somewhere within a step, show none. No number is known better than to the rounding of its own size.
+    tearing, which begin and end within a step, show none. No number is known better than to the rounding of its own size.
     """
 
     def __init__(self, simulation: Any) -> None:
