@@ -147,8 +147,8 @@ def _impacts(scene: Scene, h: float) -> Iterator[Finding]:
     if turn > 0.0:
         yield Finding(
             "impacts",
-            f"of balls are noticed up to {h:.2g} s late: at {_fastest(scene):.3g} m/s (start and fall) they part off by"
-            f" {turn:.2g} rad",
+            f"of balls are noticed up to {h:.2g} s late; at {_fastest(scene):.3g} m/s, the largest speed that the start and a"
+            f" fall give, they then leave in a direction that is wrong by about {turn:.2g} rad ({np.degrees(turn):.2g} degrees)",
             f"take substeps of {impact_step(scene):.2g} s, or a tolerance" if turn > SMALL_ANGLE else "",
         )
 
@@ -160,9 +160,9 @@ def impact_step(scene: Scene) -> float:
 
 
 def _turned(scene: Scene) -> float:
-    """Angle by which balls part off, over the step h [1/s]. They are found to touch up to h late. By then the line between
-    them has turned by u sin(a) t / d, with t = h / 2 and sin(a) = 1/2 (3D: 2/3) on average, and the direction in which they
-    part by twice as much."""
+    """Angle by which balls part in a wrong direction, over the step h [1/s]. They are found to touch up to h late. By then the
+    line between them has turned by u sin(a) t / d, with t = h / 2 and sin(a) = 1/2 (3D: 2/3) on average, and the direction in
+    which they part by twice as much."""
     loose = scene.loose()
     if np.count_nonzero(loose) < 1 or scene.n_balls < 2:
         return 0.0

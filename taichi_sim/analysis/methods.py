@@ -79,6 +79,11 @@ class Method:
     def __str__(self) -> str:
         return self.name
 
+    @property
+    def iterates(self) -> bool:
+        """True if it solves equations in each step, to a residual that depends on the precision."""
+        return self.solves_elements and not self.single_pass
+
     def solved(self, scene: Scene) -> tuple[Element, ...]:
         """The scene's elements that do not limit the step, as the method solves for them together with springs."""
         elements = [one for one in ELEMENTS if self.solves_elements and one.is_implicit and one.acts(scene)]

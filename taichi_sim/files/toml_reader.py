@@ -31,7 +31,7 @@ from taichi_sim.scene.overlay import Overlay
 from taichi_sim.scene.part import Part
 from taichi_sim.scene.parts import PARTS
 from taichi_sim.scene.pins import chosen as chosen_balls
-from taichi_sim.scene.pins import is_described
+from taichi_sim.scene.pins import ends, is_described
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import Shape
 
@@ -239,7 +239,8 @@ class Reader:
             within[balls] = np.arange(len(balls))
             triangles = within[scene.triangles]
             inside = triangles[(triangles >= 0).all(axis=1)]
-            return balls[chosen_balls(f"table.{members}", chosen, scene.position[balls], None, inside)]
+            words = ends(len(balls)) if self._named_at[value].startswith("rope[") else {}
+            return balls[chosen_balls(f"table.{members}", chosen, scene.position[balls], None, inside, words)]
         return balls[validation.indices(f"table.{members}", chosen, len(balls))]
 
     def _named(self, where: str, name: str) -> NDArray[np.int32]:

@@ -1,6 +1,7 @@
 """Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; of methods of
 order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -27,6 +28,8 @@ LOSES = 0.04  # of its amplitude in a step: motion that is gone before its peak
 RESOLVED = 0.3  # omega h, up to which methods of first order keep more than that
 SLOW = ("position",)  # kinds of probes that fast motion along springs hardly moves
 LAST = 8  # part of the frames by which the error of the last is judged
+CLOSER = 0.1  # of the net force that settling left: what the second run is settled to
+AT_REST = 0.5  # of the same: with less, the difference to the second run tells most of what settling left
 
 
 class StepError(NamedTuple):
@@ -43,6 +46,7 @@ class StepError(NamedTuple):
     why: str = ""
     rounded: bool = False  # otherwise, too, in the second run
     runs: int = 2
+    settled: bool = False  # closer to rest in the second run, so that these are also of what settling left
     hidden: str = (
         ""  # motion of springs that the method takes away in all runs alike, in words; extremes are not known then
     )
@@ -67,15 +71,17 @@ class Companion:
     """Keeps what the first run starts from and reads, and repeats it at half the step with other rounding.
 
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
-    so that both runs enclose the scene as it is meant. Methods of first order, contacts and tearing get a third run at a quarter
-    of the step: the order of such methods may not be seen at large steps, and contacts and tearing, which begin and end somewhere
-    within a step, show none. No number is known better than to the rounding of its own size.
+    so that both runs enclose the scene as it is meant. What was settled is settled further. Methods of first order, contacts and
+    tearing get a third run at a quarter of the step: the order of such methods may not be seen at large steps, and contacts and
+    tearing, which begin and end within a step, show none. No number is known better than to the rounding of its own size.
     """
 
     def __init__(self, simulation: Any) -> None:
         if simulation.settings.tolerance is not None:
             raise SceneError("error", says="is estimated already where a tolerance is given; leave one of them out")
         self._start = simulation.snapshot()
+        # a run that has begun is not at the place of rest any more
+        self._settled = simulation.settled if self._start.time == 0.0 else None
         self._readings: list[tuple[float, dict[str, float]]] = []
 
     def note(self, frame: Frame) -> None:
@@ -95,6 +101,10 @@ class Companion:
             begin("frames of the second run, at half the step")
             again, start = self._second(simulation)
             with again:
+                closer = self._settle_further(again)
+                if closer:
+                    start = replace(start, position=again.position)
+                again.resume(start)
                 runs.append(self._repeat(again, free, advance))
                 if order.needs_third:
                     begin("frames of the third run, at a quarter of the step")
@@ -126,6 +136,7 @@ class Companion:
             probes,
             rounded=single,
             runs=len(runs),
+            settled=closer,
             hidden=hidden if any(np.isnan(off[1:]).all() for off in probes.values()) else "",
         )
 
@@ -150,6 +161,15 @@ class Companion:
             found.append(again.probes())
             advance(index + 1, time - self._start.time)
         return _Run(again.position[free], again.energy().total, _by_name(found))
+
+    def _settle_further(self, again: Any) -> bool:
+        """Bring the second run closer to rest than the first began; False where nothing was settled, or rounding forbids it."""
+        left = self._settled
+        if left is None or not left.residual or not left.load:
+            return False
+        with warnings.catch_warnings(record=True):  # what stays too large is not included, and said so
+            warnings.simplefilter("always")
+            return bool(again.settle(CLOSER * left.residual / left.load).residual < AT_REST * left.residual)
 
     def _second(self, simulation: Any) -> tuple[Any, Any]:
         """The second run, at the start of the first, and that start."""

@@ -155,7 +155,8 @@ def export(
                 simulation, bar.advance, lambda what: bar.phase(lambda _: compiling.word(), what)
             )
             at_touch = simulation.setup.at_touch
-            others = left_out(simulation.scene, simulation.settled, simulation.dt, simulation.velocity, at_touch)
+            settled = None if summary.step_error.settled else simulation.settled
+            others = left_out(simulation.scene, settled, simulation.dt, simulation.velocity, at_touch)
             h = simulation.dt / simulation.substeps
             kinks = inside_steps(simulation.scene, h, simulation.time) if simulation.parts.contacts.active else ()
             summary.left_out = [*others, *kinks]

@@ -207,7 +207,9 @@ class Summary:
 
     def _source(self) -> str:
         """Words on what a stated uncertainty is of."""
-        return f"{STEP}; the mesh is not included" if MESH in self.left_out else STEP
+        settled = self.step_error is not None and self.step_error.settled
+        source = "step, rounding and settling" if settled else STEP
+        return f"{source}; the mesh is not included" if MESH in self.left_out else source
 
     def _readings(self) -> Iterator[str]:
         """Lines on what probes read, and on how well that is known."""

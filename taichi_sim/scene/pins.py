@@ -1,6 +1,7 @@
 """Selection of balls: by numbers, by a word like "border", or by a box or a sphere that they lie in."""
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -11,9 +12,9 @@ from taichi_sim.common.errors import SceneError, about
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.scene.colliders import Box, Capsule, Sphere, build, shape_of
 
-__all__ = ["Members", "Pins", "chosen", "is_described"]
+__all__ = ["Members", "Pins", "chosen", "ends", "is_described"]
 
-Side = Literal["border", "corners", "left", "right", "bottom", "top", "front", "back"]
+Side = Literal["border", "corners", "left", "right", "bottom", "top", "front", "back", "ends", "start", "end"]
 Part = Side | Box | Sphere | Capsule
 Pins = bool | Part | Sequence[Part] | Sequence[int] | Sequence[bool] | NDArray
 Members = Part | Sequence[Part] | Sequence[int]
@@ -29,8 +30,20 @@ def is_described(pins: Any) -> bool:
     return isinstance(pins, PARTS) or several
 
 
+def ends(n: int) -> dict[str, NDArray[np.bool_]]:
+    """What words mean of a rope of n balls: masks (n,) of its first and its last ball, and of both, which are its border."""
+    number = np.arange(n)
+    both = (number == 0) | (number == n - 1)
+    return {"ends": both, "start": number == 0, "end": number == n - 1, "border": both}
+
+
 def chosen(
-    where: str, pins: Any, x: NDArray, own: NDArray | None = None, triangles: NDArray | None = None
+    where: str,
+    pins: Any,
+    x: NDArray,
+    own: NDArray | None = None,
+    triangles: NDArray | None = None,
+    words: Mapping[str, NDArray[np.bool_]] = MappingProxyType({}),
 ) -> NDArray[np.bool_]:
     """Mask (n,) of the balls at x (n, dim) [m] that are meant.
 
@@ -38,18 +51,21 @@ def chosen(
     their centre in it; or a word: left, right (along x), bottom, top (y), back, front (z): the outermost that way; border: on
     edges of the `triangles` (t, 3) that belong to one alone, or, without such edges, outermost along an axis; corners: outermost
     along all axes. A list of shapes and words means all that any of them does. own: (n, dim) [m], where border and corners are
-    looked for, the places before a shape was turned.
+    looked for, the places before a shape was turned. words: masks (n,) by words of this shape's own, see `ends`; they come first.
     """
     n = len(x)
     if isinstance(pins, str):
+        if pins in words:
+            return words[pins]
+        _require_word(where, pins, x, words)
         return _named(where, pins, x, x if own is None else own, triangles)
     if isinstance(pins, PARTS):
         return _within(where, pins, x)
     if is_described(pins):
-        return np.any([chosen(f"{where}[{k}]", one, x, own, triangles) for k, one in enumerate(pins)], axis=0)
+        return np.any([chosen(f"{where}[{k}]", one, x, own, triangles, words) for k, one in enumerate(pins)], axis=0)
     array = validation.as_array(pins)
     if array.dtype == object:
-        says = "is not a bool, a bool per ball, a list of positions, the name of a side, or a box or sphere"
+        says = "is not a bool, a bool per ball, a list of ball numbers, the name of a side, or a box or sphere"
         raise SceneError(where, pins, says=says)
     if array.dtype == np.bool_:
         return validation.flags(where, array, n)
@@ -58,10 +74,14 @@ def chosen(
     return held
 
 
+def _require_word(where: str, word: str, x: NDArray, words: Mapping[str, NDArray]) -> None:
+    """Raise SceneError for a word that means nothing here; words: those of the shape's own."""
+    known = dict.fromkeys([*words, "border", "corners", *list(SIDES)[: 2 * x.shape[1]]])
+    numbers = f", a list of ball numbers from 0 to {len(x) - 1}" if len(x) else ""
+    validation.one_of(where, word, tuple(known), f"{numbers}, or a box or sphere")
+
+
 def _named(where: str, word: str, x: NDArray, own: NDArray, triangles: NDArray | None) -> NDArray[np.bool_]:
-    dim = x.shape[1]
-    words = ("border", "corners", *list(SIDES)[: 2 * dim])
-    validation.one_of(where, word, words, ", a list of positions, or a box or sphere")
     if not len(x):
         return np.zeros(0, dtype=bool)
     if word in SIDES:

@@ -13,7 +13,8 @@ Args that several shapes have:
     velocity: (dim,) of all of its balls that are not pinned [m/s]; none by default.
     pinned: true or false for all of its balls, a list of that for each, or their numbers within the shape. Or "border",
         "corners", "left", "right", "bottom", "top", in 3D "front", "back" (the side toward -x, +x, -y, +y, +z, -z once it is
-        placed). Or a box, sphere or capsule, as a collider is described, for all with their centre in it. Or a list of such.
+        placed), of a rope "start", "end" or "ends". Or a box, sphere or capsule, as a collider is described, for all with their
+        centre in it. Or a list of such.
     material: name of a material added before, or of a preset (`taichi-sim materials`): then what is not given of mass, stiffness
         and the like is the preset's, where it knows such a shape.
     position: (dim,) by how far the shape is shifted [m].

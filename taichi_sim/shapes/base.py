@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
@@ -139,7 +139,7 @@ class Solids(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class Part:
     """Arguments of every shape: properties of its balls, and where it is put. radius is that of all, or (n,) of each [m];
-    border: mask (n,) of the balls that are at its border, where its triangles or extents do not tell."""
+    words: masks (n,) of balls by words for `pinned` that its triangles and extents do not tell."""
 
     mass: float | NDArray  # kg, of all of them together, or (n,) of each
     radius: float | NDArray
@@ -152,7 +152,7 @@ class Part:
     position: Any = None
     rotation: Any = None
     scale: float = 1.0
-    border: NDArray[np.bool_] | None = None
+    words: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 def surface_part(shape: str, surface_collision: Any) -> float:
@@ -349,12 +349,8 @@ def build(
     if stretched is not None:
         rest = np.linalg.norm(points[pairs[:, 1]] - points[pairs[:, 0]], axis=1) / (1 + stretched)
     critical = 2 * np.sqrt(strength * reduced)
-    if part.border is not None and isinstance(part.pinned, str) and part.pinned == "border":
-        pinned: Any = part.border
-    else:
-        pinned = chosen(
-            f"{shape}.pinned", part.pinned, points, own, np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
-        )
+    corners = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    pinned = chosen(f"{shape}.pinned", part.pinned, points, own, corners, part.words)
     with scene.all_or_nothing(), about(shape):
         balls = scene.add_balls(
             points,
@@ -374,7 +370,7 @@ def build(
             rest_length=rest,
             break_strain=break_strain,
         )
-        faces = balls[np.asarray(triangles, dtype=np.int64)].reshape(-1, 3).astype(np.int32)
+        faces = balls[corners].astype(np.int32)
         scene.add_triangles(faces, collides=part.surface_collision)
         if bends is not None and bends.stiffness.any():
             scene.add_bending(balls[bends.corners], weights=bends.weights, stiffness=bends.stiffness, hinge=bends.hinge)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.spelling import takes_color
+from taichi_sim.scene.pins import ends
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import (
     Part,
@@ -69,7 +70,9 @@ def rope(
     With a radius and a preset as material it is a solid round rod of that: its mass, EA and EI are those where none is given.
 
     Args:
-        start, end: (dim,) of its first and its last ball [m]; n: how many balls, at least 2.
+        start: (dim,) of its first ball [m].
+        end: (dim,) of its last ball [m]; n: how many balls, at least 2.
+        pinned: "start", "end" or "ends" holds its first ball, its last one, or both.
         length: unstretched [m]; the distance from start to end by default. A longer rope hangs between them as a catenary along
             the gravity of the scene, or along -y without gravity. A shorter one is straight and under tension.
         mass: of all of it [kg]; mass_per_length: in place of mass [kg/m]; that of a rod of the preset, else 0.1.
@@ -136,7 +139,7 @@ def rope(
         self_collision,
         velocity=velocity,
         position=position,
-        border=np.isin(np.arange(number), [0, number - 1]),
+        words=ends(number),
     )
     bends = bends_along(np.arange(number), bend) if bend > 0 else None
     kinds = [Springs(pairs, 1.0)]
@@ -268,6 +271,6 @@ def wheel(
         velocity=velocity,
         position=middle,
         rotation=rotation,
-        border=np.arange(number + 1) > 0,
+        words={"border": np.arange(number + 1) > 0},
     )
     return build(scene, "wheel", points, kinds, np.zeros((0, 3)), part, strength, at_least_0("wheel.damping", damping))

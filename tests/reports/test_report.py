@@ -407,7 +407,24 @@ def test_contacts_between_the_samples_are_known_by_errors_that_do_not_fall(tmp_p
     assert bool(findings.intervals) == touch
     about = " ".join(findings.about())
     assert "Errors do not fall with the step of verlet" in about
-    assert ("make and break at other moments" in about) == touch
+    assert ("begin and end with a step, and shorter steps may do so at the same moments" in about) == touch
+
+
+@pytest.mark.parametrize("in_double", [0.0, 0.004, 0.01])
+def test_a_floor_is_that_of_single_precision_only_where_double_is_lower(tmp_path, made_up, in_double):
+    workers = made_up(pair())
+    run = workers.run
+
+    def off(precision, trial):
+        outcome = run(precision, trial)
+        by = 0.01 if precision == "f32" else in_double * (trial.method == "verlet")
+        return outcome._replace(position=[x + by for x in outcome.position])
+
+    workers.run = off
+    chosen = plan(precisions=("f64", "f32"), methods=("verlet",))
+    findings = report.main(pair(), chosen, tmp_path / "r", progress=False, say=lambda line: None)
+    about = " ".join(findings.about())
+    assert ("In single precision smaller steps do not go below" in about) == (in_double < 0.01)
 
 
 def test_errors_that_fall_over_two_halvings_do_fall():
@@ -421,7 +438,7 @@ def test_errors_that_fall_over_two_halvings_do_fall():
 
 def test_errors_of_two_passes_are_laid_to_their_softness_and_contacts_are_claimed_only_where_seen():
     flat = [replace(row(1.0, 3.0), step=step, method=name) for name in ("xpbd", "verlet") for step in (4.0, 2.0, 1.0)]
-    for seen, words in ((0, "contacts between the moments compared, if there were any, make"), (3, "contacts make")):
+    for seen, words in ((0, "contacts between the moments compared, if there were any, begin"), (3, "contacts begin")):
         reference = replace(known_to(1e-9), touch=True, contacts=seen)
         about = list(Findings(plan(), pair(), reference, flat, []).about())
         assert "Errors do not fall with the step of xpbd: its passes leave springs too soft at these steps." in about
@@ -520,6 +537,12 @@ def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one()
     about = {"name": "motion", "unit": "m", "value": 0.8, "method": "verlet", "step_length": 1e-3}
     line = next(budget.Budget(**about, step=3e-16, single=2e-6, meshed=False).lines())
     assert "800.000 +- 0.002 mm (single precision), step exact to rounding." in line
+    assert "with verlet at 0.001 s, the scene's own settings: " in line
+    line = next(budget.Budget(**about | {"step_length": 9.92e-4}, given=1e-3).lines())
+    assert (
+        "verlet at 0.000992 s, the scene's own settings (its 0.001 s, shortened so that steps end at these times):"
+        in line
+    )
     line = next(budget.Budget(**about | {"value": 34.0, "unit": "N"}, mesh=2.0, step=0.0295, single=3e-6).lines())
     assert "34 +- 2 N (mesh), +- 0.0295 N (step), +- 3.00e-06 N (single precision)." in line  # one unit in one value
     line, more, *_ = budget.Budget(**about, step=1e-4, single=2e-3, meshed=False, precision="f64").lines()

@@ -15,6 +15,7 @@ from taichi_sim.analysis.stability import stability
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports import check
 from taichi_sim.reports.speed_error import command, tune
+from taichi_sim.reports.speed_error.plan import METHODS
 from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.once
@@ -36,20 +37,21 @@ rest_length = 1.0
 """
 
 
-def tuned(monkeypatch, tolerance, said, cost=None, grows=1.0, **other):
+def tuned(monkeypatch, tolerance, said, cost=None, grows=1.0, methods=("verlet", "symplectic_euler", "rk4"), **other):
     """What tune finds with made-up runs."""
     scene = pair()
     monkeypatch.setattr(tune, "TrialProcesses", lambda *_: MadeUp(scene, cost=cost, grows=grows))
-    chosen = plan(methods=("verlet", "symplectic_euler", "rk4"), tolerance=tolerance, **other)
+    chosen = plan(methods=methods, tolerance=tolerance, **other)
     return tune.main(scene, chosen, progress=False, say=said.append)
 
 
 def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
     said = []
-    assert tuned(monkeypatch, 0.05, said)["integrator"] == "verlet"
+    dear = {("f64", "rk4"): 6e-3}  # for 4 passes
+    assert tuned(monkeypatch, 0.05, said, cost=dear)["integrator"] == "verlet"
     assert tuned(monkeypatch, 1e-6, said)["integrator"] == "rk4"
     cheap = {("f32", "verlet"): 4e-4}
-    assert tuned(monkeypatch, 0.05, said, cost=cheap, precisions=("f64", "f32")) == {
+    assert tuned(monkeypatch, 0.05, said, cost=dear | cheap, precisions=("f64", "f32")) == {
         "integrator": "verlet",
         "dt": pytest.approx(0.00416, abs=1e-9),
         "precision": "f32",
@@ -58,6 +60,28 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
     value, allowed = said[2].splitlines()[:2]
     assert value.startswith("value")
     assert allowed.startswith("allowed")  # two balls on a spring are no mesh
+
+
+def test_of_all_methods_the_cheapest_is_named_and_what_cannot_win_is_said(monkeypatch):
+    said = []
+    dear = {
+        (precision, method): 5e-2 for precision in ("f64", "f32") for method in ("xpbd", "implicit_euler", "tr_bdf2")
+    }
+    cost = dear | {("f64", "symplectic_euler"): 2e-4}
+    assert tuned(monkeypatch, 0.5, said, cost=cost, methods=METHODS)["integrator"] == "symplectic_euler"
+    assert "not tried    explicit_euler: has no step that is safe in the long run" in said
+
+
+def test_what_single_precision_makes_the_cheapest_is_found(monkeypatch):
+    """It was 1.6 times as dear in double precision."""
+    cost = {("f64", "symplectic_euler"): 1.6e-3, ("f32", "symplectic_euler"): 0.7e-3}
+    both = {"methods": ("verlet", "symplectic_euler"), "precisions": ("f64", "f32"), "steps": (0.0025,)}
+    found = tuned(monkeypatch, 0.5, [], cost=cost, **both)
+    assert (found["integrator"], found["precision"]) == ("symplectic_euler", "f32")
+    cost = {("f64", "tr_bdf2"): 2e-2, ("f32", "tr_bdf2"): 0.7e-3}  # it solves its equations to what rounding allows
+    monkeypatch.setattr(tune, "_cannot_win", lambda *_: "")
+    found = tuned(monkeypatch, 0.5, [], cost=cost, **both | {"methods": ("verlet", "tr_bdf2")})
+    assert (found["integrator"], found["precision"]) == ("tr_bdf2", "f32")
 
 
 def test_tune_names_the_mesh_that_its_error_leaves_out(monkeypatch):

@@ -94,6 +94,27 @@ def test_every_shape_knows_sides(name, word, count):
     assert len(pinned(name, pinned=word)[0]) == count
 
 
+@pytest.mark.parametrize(
+    ("pins", "held"),
+    [
+        ("start", [0]),
+        ("end", [6]),
+        ("ends", [0, 6]),
+        ("border", [0, 6]),
+        (["border"], [0, 6]),
+        (["end", "start"], [0, 6]),
+    ],
+)
+def test_a_rope_is_held_at_its_ends_however_it_hangs(pins, held, tmp_path):
+    hanging = {"start": (0, 0, 0), "end": (1, 0.4, 0), "n": 7, "length": 2.0}
+    assert pinned("rope", pinned=pins, **hanging)[0] == held
+    rope = 'name = "cable"\nstart = [0, 0, 0]\nend = [1, 0.4, 0]\nn = 7\nlength = 2.0'
+    probe = f'name = "a"\nkind = "position"\nballs = "cable"\nmembers = {pins!r}'
+    file = tmp_path / "a.toml"
+    file.write_text(f"format = 1\ndim = 3\n[[cloth]]\nresolution = [3, 3]\n[[rope]]\n{rope}\n[[probes]]\n{probe}\n")
+    assert ts.load_scene(file).probes[0].given["balls"].tolist() == [9 + k for k in held]
+
+
 def test_a_mesh_has_the_border_that_its_triangles_have():
     scene = ts.Scene(dim=3)
     sheet = ts.shapes.cloth(scene, mesh=SHELL, pinned="border")
@@ -127,13 +148,14 @@ def test_balls_by_hand_and_in_files(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ("edge", "cloth.pinned: 'edge' is not allowed; it must be one of 'border', 'corners', 'left', 'right', 'bottom'"),
+        ("edge", "cloth.pinned: 'edge' is not allowed; it must be one of 'border', 'corners', 'left', 'right', 'bottom',"
+            " 'top', 'front', 'back', a list of ball numbers from 0 to 14, or a box or sphere"),
         ("top", "cloth.pinned: 'top' is no side of it: all of its balls lie at y = 0 m"),
         (ts.Sphere((9, 9, 9), 0.1), "cloth.pinned: holds no ball; it must hold the centre of one"),
         ({"shape": "box", "center": (0, 0, 0)}, "cloth.pinned.size: is missing; a box needs it"),
         ({"shape": "box", "centre": (0, 0, 0)}, "cloth.pinned.centre: is not a key of a box; did you mean 'center'?"),
         ({"shape": "cone"}, "cloth.pinned.shape: 'cone' is not allowed"),
-        ([[1], [2, 3]], "cloth.pinned: [[1], [2, 3]] is not a bool, a bool per ball, a list of positions, the name of a side"),
+        ([[1], [2, 3]], "cloth.pinned: [[1], [2, 3]] is not a bool, a bool per ball, a list of ball numbers, the name of a side"),
     ],
 )  # fmt: skip
 def test_what_names_no_ball_is_refused(given, message):

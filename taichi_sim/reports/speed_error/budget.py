@@ -9,7 +9,7 @@ import numpy as np
 from taichi_sim.analysis.richardson import error_from
 from taichi_sim.common.quantities import EXACT, ROUNDED, measured, measures
 from taichi_sim.reports.speed_error.compared import worst
-from taichi_sim.reports.speed_error.plan import PARTS, Step
+from taichi_sim.reports.speed_error.plan import PARTS, Step, own_step
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.trial_process import Outcome
 from taichi_sim.reports.speed_error.trials import Trials
@@ -41,6 +41,7 @@ class Budget:
     meshed: bool = True  # springs or cells, whose mesh may be finer
     precision: str = "f32"
     missed: float = 0.0  # by which a peak between the moments compared may be larger
+    given: float = 0.0  # s, the step that the scene would be run with; 0: this one
 
     def lines(self) -> Iterator[str]:
         """Line of words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
@@ -64,6 +65,8 @@ class Budget:
         if self.missed > EXACT * self.value:
             words.append(f"+- {measures([self.value, self.missed], [None, None], self.unit)[1]} (between these times)")
         own = "the scene's own settings" + " in double precision" * double
+        if self.given > self.step_length * (1.0 + 1e-6):
+            own += f" (its {self.given:.4g} s, shortened so that steps end at these times)"
         yield (
             f"{self.name[:1].upper()}{self.name[1:]}, with {self.method} at {self.step_length:.3g} s, {own}:"
             f" {', '.join(words)}."
@@ -110,6 +113,7 @@ def made(
         meshed=meshed,
         precision=precision,
         missed=0.0 if compared.quantity is None else reference.missed,
+        given=own_step(trials.scene, method)[1],
     )
 
 

@@ -49,13 +49,18 @@ class Findings:
 
     @property
     def floor(self) -> float | None:
-        """The least error seen in single precision, as a part of the motion, where smaller steps did not lessen it."""
+        """The least error seen in single precision, as a part of the motion, where smaller steps did not lessen it and the same
+        steps in double precision are better."""
         best = []
         for method in self.plan.methods:
-            own = [r for r in self.rows if r.precision == "f32" and r.method == method and r.verdict == STABLE]
-            errors = [r.relative_error for r in own if r.relative_error]
+            own = [row for row in self.rows if row.method == method and row.verdict == STABLE]
+            single = {row.step: row.relative_error for row in own if row.precision == "f32" and row.relative_error}
+            double = {row.step: row.relative_error for row in own if row.precision == "f64"}
+            steps, errors = list(single), list(single.values())
             if len(errors) > 1 and errors[-1] > ERROR_FALLS * errors[-2]:
-                best.append(min(errors))
+                same = double.get(steps[-1])
+                if same is not None and same < ERROR_FALLS * errors[-1]:
+                    best.append(min(errors))
         return min(best, default=None)
 
     @property
@@ -162,7 +167,8 @@ class Findings:
         others = [name for name in methods if name not in soft]
         if others:
             few = "contacts" if self.reference.contacts else "contacts between the moments compared, if there were any,"
-            why = f": {few} make and break at other moments with each step" if self.reference.touch else ""
+            why = f": {few} begin and end with a step, and shorter steps may do so at the same moments"
+            why = why if self.reference.touch else ""
             yield f"Errors do not fall with the step of {', '.join(others)}{why}."
 
     def lines(self) -> Iterator[str]:

@@ -21,10 +21,10 @@ from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
-from taichi_sim.reports.speed_error.plan import FRAME, METHODS, Plan, Step, fitting, halved, steps_of
+from taichi_sim.reports.speed_error.plan import FRAME, Plan, Step, fitting, halved, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of
-from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, as_fast, cheapest
+from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, cheapest
 from taichi_sim.reports.speed_error.runs import Runs
 from taichi_sim.reports.speed_error.trial_process import TrialProcesses
 from taichi_sim.reports.speed_error.trials import Trials
@@ -32,11 +32,8 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings, part_of_bound
 
 MORE_HALVINGS = 6  # than a report makes
-MOST_METHODS = (
-    3  # that are compiled in one precision, unless they were named; a count, so that a busy machine finds the same
-)
 WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
-LIKELY_PASSES = 1.5  # times those of the best that may still be as fast: passes are not all alike
+LIKELY_TIME = 1.5  # times that of the best that may still win: passes over the forces are not all alike
 BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
 SPARE_TIME = 1.25  # times that of the best so far that a run may take, for noise
 
@@ -60,7 +57,7 @@ def main(
         reference = references.make(trials, plan.tolerance / WELL_KNOWN)
         _require(trials, reference)
         trials = replace(trials, plan=_without_coarse(scene, plan, reference, say))
-        rows, untried = _find(trials, reference, MOST_METHODS if plan.methods == METHODS else len(METHODS), runs)
+        rows, untried = _find(trials, reference, runs)
     compared = trials.compared
     allowed = measured(plan.tolerance * reference.motion, unit=compared.unit)
     until = plan.duration * reference.parts / len(reference.parting)
@@ -79,8 +76,8 @@ def main(
     say("\n".join(_outcome(scene, compared, reference, row, plan.tolerance)))
     if len(rows) > 1:
         say(f"{'as fast':12} {equal(rows)}")
-    if untried:
-        say(f"{'not tried':12} {', '.join(untried)}, which need more passes over the forces; name them by --methods")
+    for k, (method, why) in enumerate(untried.items()):
+        say(f"{'' if k else 'not tried':12} {method}: {why}")
     if reference.chaotic:
         say(
             f"after {until:.3g} s small differences have grown too far for any step to meet a tolerance; `taichi-sim report`"
@@ -142,52 +139,62 @@ def _require(trials: Trials, reference: Reference) -> None:
         )
 
 
-def _find(trials: Trials, reference: Reference, most: int, runs: Runs) -> tuple[list[Row], list[str]]:
-    """The cheapest rows that meet the tolerance, see `cheapest`, and the methods that were not tried, once one meets it, because
-    `most` were compiled.
+def _find(trials: Trials, reference: Reference, runs: Runs) -> tuple[list[Row], dict[str, str]]:
+    """The cheapest rows that meet the tolerance, see `cheapest`, and why methods were not tried, in words by method.
 
-    Compiling a method takes longer than most runs, so those come first that promise most, and those that cannot win are passed
-    over: where even the longest step goes through the forces too often. What precision changes is a factor of two at most, so
-    the second is tried of the methods that come near the best in the first.
+    Those come first that promise most, and those that cannot win are passed over: where even the longest step goes through the
+    forces too often. The second precision is tried of the methods that come near the best in the first, for it
+    changes a factor of two at most; and of those that iterate to what rounding allows (implicit Euler: 15 on a cloth).
     """
     plan = trials.plan
     good: list[Row] = []
-    untried: list[str] = []
-    compiled = {trials.own_step()[0], reference.method}
-    methods = sorted(plan.methods, key=lambda method: (method not in compiled, _least_passes(trials, method)))
+    untried: dict[str, str] = {}
+    first = {trials.own_step()[0], reference.method}  # the compiler has seen them
+    methods = sorted(plan.methods, key=lambda method: (method not in first, _least_passes(trials, method)))
     for precision in plan.precisions:
         if precision != plan.precisions[0]:
             best = min((row.seconds or 0.0 for row in good), default=0.0)
-            methods, compiled = [row.method for row in good if (row.seconds or 0.0) <= BY_PRECISION * best], set()
+            near = {row.method for row in good if (row.seconds or 0.0) <= BY_PRECISION * best}
+            methods = [method for method in methods if method in near or named(method).iterates]
+        spare = SPARE_TIME if precision == plan.precisions[-1] else BY_PRECISION
         runs.expect(len(methods) - runs.to_come)
         for method in methods:
             fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
-            if fastest is not None and fastest.passes and method != fastest.method:
-                if _least_passes(trials, method) > LIKELY_PASSES * fastest.passes:
-                    continue
-            if good and method not in compiled and len(compiled) >= most:
-                untried.append(f"{method} in {precision}")
+            if fastest is not None and method != fastest.method and (why := _cannot_win(trials, method, good)):
+                untried[method] = why
                 continue
-            compiled.add(method)
-            first = next((row.step for row in good if row.method == method), np.inf)
-            row = _longest(trials, reference, precision, method, fastest, first)
+            longest = next((row.step for row in good if row.method == method), np.inf)
+            row = _longest(trials, reference, precision, method, fastest, longest, spare)
             if row is not None:
                 good.append(row)
     return cheapest(good, plan.tolerance, reference.motion, reference.known), untried
 
 
+def _cannot_win(trials: Trials, method: str, good: list[Row]) -> str:
+    """Why a method cannot be cheaper than the best of the rows: words that follow its name; empty where it may. A pass over the
+    forces is taken to cost what the cheapest of theirs does."""
+    passes = _least_passes(trials, method)
+    if not np.isfinite(passes):
+        return "has no step that is safe in the long run"
+    best = min(row.seconds or 0.0 for row in good)
+    each = min(((row.seconds or 0.0) / row.passes for row in good if row.passes), default=0.0)
+    if passes * each <= LIKELY_TIME * best:
+        return ""
+    return f"takes {passes * each / best:.2g} times as long even at its longest step"
+
+
 def _longest(
-    trials: Trials, reference: Reference, precision: str, method: str, best: Row | None, first: float
+    trials: Trials, reference: Reference, precision: str, method: str, best: Row | None, first: float, spare: float
 ) -> Row | None:
     """The row of the longest step, of at most `first` [s], with which a method meets the tolerance; None where that costs more
-    than the best so far, for smaller steps cost more still."""
+    than `spare` times the best so far, for smaller steps cost more still."""
     plan = trials.plan
     for step in _steps(trials, method):
         if step.seconds > first * (1.0 + 1e-9):
             continue
-        most = plan.most if best is None else min(plan.most, SPARE_TIME * (best.seconds or 0.0) * plan.duration + 1e-3)
+        most = plan.most if best is None else min(plan.most, spare * (best.seconds or 0.0) * plan.duration + 1e-3)
         row = measure(trials, reference, precision, method, step, most)
-        if row.verdict == LEFT_OUT or (best and not as_fast(row, best)):
+        if row.verdict == LEFT_OUT or (best and (row.seconds or 0.0) > spare * (best.seconds or 0.0)):
             return None
         if row.verdict != UNSTABLE and cheapest([row], plan.tolerance, reference.motion, reference.known):
             return row  # where it was unstable a shorter step may do
