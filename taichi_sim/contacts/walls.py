@@ -250,6 +250,9 @@ class Walls(Surfaces):
                     if role == SUNK:  # its target is still the speed with which the step before ended
                         forced = self.contact[c].target - u
                 target = contact_law.target_speed(before, forced, self.plan.late_part, e, self.threshold[0], impacts)
+                if ti.static(impacts):
+                    if role == SUNK and target == 0.0:  # what presses it brings it back within the step
+                        role = RESTING
                 if ti.static(self.plan.impacts_in_turn):
                     self.contact[c].starting_impulse = self.contact[c].impulse
                 if ti.static(self.plan.walls_in_turn):
