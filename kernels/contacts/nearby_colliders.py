@@ -9,8 +9,10 @@ from taichi_sim.device.engine import ti
 FAR_GAP = 1e30  # m, the gap of an empty slot
 EMPTY = -1  # its key
 NONE = -1  # in place of the number of a collider
-# as far as a ball comes in so many steps at its speed, where implicit stages ask for what they will meet
+# as far as a ball comes in so many steps at its speed, where implicit stages ask for what they will meet; and so many radii: it
+# may have stopped within the step, and what presses it acts on
 FORESEEN_STEPS = 2.0
+FORESEEN_RADII = 0.25
 AHEAD = 2.0  # steps: where a ball would be then tells whether it closes
 FELL = 0.1  # of a cell: what falls no further closes no faster than what edges are rounded by explains
 
@@ -35,7 +37,7 @@ def find(walls: ti.template(), x, v, i, crowded, h):
             reach = walls.reach_of(i, walls.tolerance(x, i, walls.colliders.distance_from_origin(k)), crowded)
             if ti.static(walls.foresees):
                 u = v - geometry.surface_velocity(walls.colliders, k, x, 0.0)
-                reach = ti.max(reach, FORESEEN_STEPS * h * u.norm())
+                reach = ti.max(reach, FORESEEN_STEPS * h * u.norm(), FORESEEN_RADII * r)
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
                 is_box = walls.colliders.shape[k].kind == BOX
                 for face in range(ti.select(is_box, walls.colliders.faces, 1)):

@@ -147,6 +147,7 @@ class Walls(Surfaces):
                 if ti.static(self.foresees):  # else what a stage had come here would keep what that left to the surface
                     arrives = self.law(i, k).restitution > 0.0
                 self.contact[c].role = self._role(gap, u, touch, crowded, arrives)
+                self.contact[c].target = u
                 if ti.static(self.plan.keeps_loads):
                     self._start_from_load(solver, i, c, crowded)
             elif touched:
@@ -245,7 +246,13 @@ class Walls(Surfaces):
                 forced = 0.0 * u
                 if ti.static(solver.plan.loaded and not self.plan.impacts_in_turn):
                     forced = wall_impacts.approach_from_forces(self, solver, i, n)
+                if ti.static(impacts):
+                    if role == SUNK:  # its target is still the speed with which the step before ended
+                        forced = self.contact[c].target - u
                 target = contact_law.target_speed(before, forced, self.plan.late_part, e, self.threshold[0], impacts)
+                if ti.static(impacts):
+                    if role == SUNK and target == 0.0:  # what presses it brings it back within the step
+                        role = RESTING
                 if ti.static(self.plan.impacts_in_turn):
                     self.contact[c].starting_impulse = self.contact[c].impulse
                 if ti.static(self.plan.walls_in_turn):

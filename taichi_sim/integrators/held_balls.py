@@ -43,10 +43,10 @@ class HeldBalls:
 
     Fields: `normals` (n): the projection on the directions along which a ball is held, 0 of most; `reaction` (n) [m/s]: what the
     solution has too little of velocity without the impulses of surfaces, negative of what they give. `contact`: of ball i and its
-    surface k: whether it `holds`, the `target` of the speed away from it, -FAR_GAP where the ball cannot reach it, and its
-    `push` [m/s] and `drag` in this solution. `friction`: the `most` that it can change a velocity by [m/s], the part of that
-    which comes from the stage `before`, all `drag`, and the change of velocity that is `wrong` in it [m/s]. `last_most`: the most
-    in each stage of the step before. Of each ball [m/s]: `moved`, its way before the stage begins, over the length of this, and
+    surface k: whether it `rests` there when the stage begins, whether that `holds` it, the `target` of the speed away from it,
+    -FAR_GAP where the ball cannot reach it, and its `push` [m/s] and `drag` in this solution. `friction`: the `most` that it can
+    change a velocity by [m/s], the part of that which comes from the stage `before`, all `drag`, and the change of velocity that
+    is `wrong` in it [m/s]. `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before the stage begins, over the length of this, and
     `span`, the time from the start of the step to the end of the stage, over the same; `carried`, the velocity with
     which it ends the stage if its surfaces carry it; `rubbed`, what friction changed in the last stage, and `kept`, the part of
     that in this one.
@@ -61,7 +61,8 @@ class HeldBalls:
         self.normals = fields.matrices(model.n, self.dim)
         self.reaction = fields.vectors(model.n, self.dim)
         reals = ("target", "push", "drag") if self.rubs else ("target", "push")
-        self.contact = fields.table({"holds": ti.i32, **dict.fromkeys(reals, fields.real)}, model.n * walls.count)
+        whether = dict.fromkeys(("rests", "holds"), ti.i32)
+        self.contact = fields.table(whether | dict.fromkeys(reals, fields.real), model.n * walls.count)
         if self.rubs:
             self.friction = fields.table(dict.fromkeys(("most", "before", "drag", "wrong"), fields.real), model.n)
             self.last_most = fields.reals(model.n * method.stages)
@@ -92,6 +93,7 @@ class HeldBalls:
         for k in range(ti.select(self.joined[i] == 1, self.walls.count, 0)):
             c, holds = i * self.walls.count + k, False
             gap = self.walls.gap(x, i, k)
+            self.contact[c].rests = 0
             self.contact[c].target = -FAR_GAP
             self.contact[c].push = 0.0
             if gap < FAR_GAP:
@@ -102,6 +104,7 @@ class HeldBalls:
                 if meets:  # it ends at the surface: what a ball at rest drifts off does not add up
                     ahead += ti.max(0.0, gap)
                 if self.walls.contact[c].role == RESTING:
+                    self.contact[c].rests = 1
                     ahead -= ends * self.walls.following(x, (shift + s * expected) / ends, i, k, ends)
                     holds = self.walls.contact[c].impulse > 0.0 or s * approach > ahead
                     self.contact[c].target = -ahead / s
@@ -453,5 +456,5 @@ class HeldBalls:
         """True if surface k pushes ball i in the stage, and not only when the ball moves, in a bounce."""
         c, yes = i * self.walls.count + k, False
         if self.contact[c].holds == 1 and self.contact[c].push > 0.0:
-            yes = self.walls.contact[c].role == RESTING or self.walls.law(i, k).restitution == 0.0
+            yes = self.contact[c].rests == 1 or self.walls.law(i, k).restitution == 0.0
         return yes

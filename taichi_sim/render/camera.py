@@ -248,8 +248,8 @@ def _flown_off(need: Floats, ball: NDArray[np.int64], start: int) -> NDArray[np.
 
 
 def _content(frame: Frame, gap: float) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and their feet on walls nearer than
-    `gap` sizes of the balls' box; and the loose ball that each is of, or -1."""
+    """Points and radii that the picture must hold: samples of balls and embedded surfaces, and the places to which they may fall,
+    on walls nearer than `gap` sizes of the balls' box at the lowest; and the loose ball that each is of, or -1."""
     seen = np.ones(len(frame.position), dtype=bool)
     seen[frame.torn_triangles] = False
     seen[frame.triangles] = True
@@ -265,13 +265,44 @@ def _content(frame: Frame, gap: float) -> tuple[Floats, Floats, NDArray[np.int64
     ball = np.concatenate([np.where(held[shown], -1, shown)[kept], np.full(len(drawn), -1)])
     points = np.concatenate([position[kept], drawn])
     sizes = np.concatenate([radius[kept], np.zeros(len(drawn))])
-    for plane in frame.walls if frame.walls.size else ():
+    walls = frame.walls if frame.walls.size else np.zeros((0, 4))
+    scene = getattr(frame, "scene", None)
+    hung = np.zeros(len(points), dtype=bool)
+    if gap and scene is not None and scene.gravity.any():
+        pin = np.append(_hung(frame, shown[kept]), np.full(len(drawn), -1))
+        hung = pin >= 0
+        at, down = frame.position[pin[hung]], scene.gravity / np.linalg.norm(scene.gravity)
+        low = at + np.linalg.norm(points[hung] - at, axis=1, keepdims=True) * down
+        for plane in walls:
+            low += np.maximum(plane[3] - low @ plane[:3], 0.0)[:, None] * plane[:3]
+        points, sizes, ball = (np.concatenate(two) for two in ((points, low), (sizes, sizes[hung]), (ball, ball[hung])))
+    falls = np.append(~hung, np.zeros(np.count_nonzero(hung), dtype=bool))
+    for plane in walls:
         height = points @ plane[:3] - plane[3]
-        if 0 < height.min() < gap * bounds.size:
-            points = np.concatenate([points, points - height[:, None] * plane[:3]])
-            sizes = np.concatenate([sizes, np.zeros(len(height))])
-            ball = np.concatenate([ball, ball])
+        if 0 < height.min() < gap * bounds.size and falls.any():
+            feet = points[falls] - height[falls, None] * plane[:3]
+            points, sizes = np.concatenate([points, feet]), np.concatenate([sizes, np.zeros(len(feet))])
+            ball = np.concatenate([ball, ball[falls]])
+            falls = np.append(falls, np.ones(len(feet), dtype=bool))
     sizes = np.maximum(sizes, 0.02 * bounds.size)
     corners = near_boxes(frame, bounds)
     numbers = np.concatenate([ball, np.full(len(corners), -1)])
     return np.concatenate([points, corners]), np.concatenate([sizes, np.zeros(len(corners))]), numbers
+
+
+def _hung(frame: Frame, balls: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The nearest pinned ball that springs and triangles join each of some balls (k,) to; -1 where there is none."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    n, pins = len(frame.position), np.flatnonzero(frame.pinned)
+    if not len(pins):
+        return np.full(len(balls), -1)
+    triangles = frame.triangles.reshape(-1, 3)
+    pairs = np.concatenate([frame.springs.reshape(-1, 2), triangles[:, :2], triangles[:, 1:]])
+    joined = connected_components(coo_array((np.ones(len(pairs)), pairs.T), shape=(n, n)), directed=False)[1]
+    apart = 4.0 * float(np.ptp(frame.position, axis=0).max()) or 1.0  # more than between any two balls
+    places = np.column_stack([frame.position, apart * joined])
+    near, nearest = cKDTree(places[pins]).query(places[balls])
+    return np.where(near < 0.5 * apart, pins[nearest], -1)

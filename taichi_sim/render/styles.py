@@ -14,7 +14,7 @@ from taichi_sim.render.palette import to_linear
 from taichi_sim.scene.looks import FINISHES, PATTERNS, Finish, Look
 from taichi_sim.scene.objects import SceneObject
 
-__all__ = ["Styles", "places_within"]
+__all__ = ["WITHIN", "Styles", "places_within", "unmirrored"]
 
 PLAIN = Look("")
 TEXTURE = len(PATTERNS)  # its number after those of patterns
@@ -156,8 +156,12 @@ def _flat(thing: SceneObject, triangles: NDArray, n: int) -> NDArray[np.float64]
     """Places (k, 3) of the balls of a thing of n by its own on a texture, turned over where that would be mirrored in front."""
     uv, own = np.zeros((n, 2)), np.zeros(n, dtype=bool)
     uv[thing.balls], own[thing.balls] = thing.uv, True
-    a, b, c = (uv[triangles[own[triangles].all(axis=1), k]] for k in range(3))
-    one, other = b - a, c - a
-    if np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) < 0:
-        uv[:, 1] = 1 - uv[:, 1]
+    uv = unmirrored(uv, triangles[own[triangles].all(axis=1)])
     return np.column_stack([uv[thing.balls], np.full(len(thing.balls), 0.5)]) * WITHIN + 0.5 * (1 - WITHIN)
+
+
+def unmirrored(uv: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Places (v, 2) of a sheet on a texture, turned over where triangles (t, 3) would show it mirrored in front."""
+    a, b, c = (uv[triangles[:, k]] for k in range(3))
+    one, other = b - a, c - a
+    return uv * [1, -1] + [0, 1] if np.sum(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) < 0 else uv

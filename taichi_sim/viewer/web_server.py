@@ -21,6 +21,23 @@ ALONE = threading.Lock()  # held while functions and a console that all of the p
 SILENT = logging.getLogger(f"{__name__}.requests")  # of what strangers send, which is no error of this program
 SILENT.addHandler(logging.NullHandler())
 SILENT.propagate = False
+PAGE = "?page"  # what viser's page is asked for by, from the one below
+# small, so that it comes at once: while kernels are compiled, other threads get little time, and viser's page stays empty
+WAITING = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>taichi_sim</title><link rel="icon" href="data:,">
+<div id="waiting" style="position: fixed; z-index: 9; left: 0; right: 0; top: 40%; text-align: center; font: 1.2rem sans-serif">
+taichi_sim is compiling its kernels, or reading the scene.<br>The scene will appear here by itself.</div>
+<script>
+const waiting = document.getElementById("waiting");
+fetch("{PAGE}").then(answer => answer.text()).then(page => {{
+  document.open(); document.write(page); document.close();
+  document.body.append(waiting);
+  const timer = setInterval(() => {{
+    if (!document.querySelector(".figures") && !document.body.innerText.includes("Please wait:")) return;
+    clearInterval(timer); waiting.remove();
+  }}, 100);
+}});
+</script></html>
+"""
 REFUSED = "taichi_sim: open the address that the program printed, with all that follows the port.\n"
 
 
@@ -113,12 +130,17 @@ def _guarded(listening: socket.socket, token: str) -> Iterator[None]:
 
     def serve(handler: Any, host: Any, port: Any, *, process_request: Any, **options: Any) -> Any:
         def admit(connection: Any, request: Any) -> Any:
-            place = request.path.partition("?")[0]
+            place, _, query = request.path.partition("?")
             given, _, rest = place.removeprefix("/").partition("/")
             if not hmac.compare_digest(given.encode(errors="surrogateescape"), token.encode()):
                 return connection.respond(403, REFUSED)
             request.path = f"/{rest}"
-            answer = process_request(connection, request)
+            if not rest and f"?{query}" != PAGE and "Upgrade" not in request.headers:
+                answer = connection.respond(200, WAITING)
+                del answer.headers["Content-Type"]
+                answer.headers["Content-Type"] = "text/html; charset=utf-8"
+            else:
+                answer = process_request(connection, request)
             if answer is not None:
                 answer.headers["Referrer-Policy"] = "no-referrer"
             return answer

@@ -1,6 +1,7 @@
 """Frames on pages: balls, surfaces, springs, colliders and walls, as parts of a viser scene."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from taichi_sim.render.camera import Camera, robust_bounds, triple
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.render.renderer2d import flat_view
 from taichi_sim.render.tracker import Tracker
+from taichi_sim.scene.looks import Look, Subjects
 from taichi_sim.viewer.overlay import PULL
 from taichi_sim.viewer.player import Rows
 from taichi_sim.viewer.web_server import WebServer
-from taichi_sim.viewer.web_surface import WebSurface, to_bytes
+from taichi_sim.viewer.web_surface import WebSurface, textured, to_bytes
 
 __all__ = ["COLOURS", "WebStage"]
 
@@ -33,7 +35,8 @@ SIZES = 8  # of points
 FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
-PICTURE = (1280, 720)  # px, that a page may have
+PICTURE = (1280, 880)  # px, that a page may have, or more in width
+PANEL = 330  # px of that, which the panel covers at the right
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
 
 
@@ -55,7 +58,13 @@ class WebStage:
 
     def __init__(self, server: WebServer, first: Frame, style: Mapping[str, Any], grip: Grip | None = None) -> None:
         self.server, self.scene, self._grip = server, server.viser.scene, grip
-        self._parts, self._first, self._style = Parts(first), first, style
+        labels = (one.collider.label for one in first.colliders)
+        known = getattr(first, "scene", first).triangles
+        subjects = Subjects.of(first.dim, first.objects, known, first.embedded_surfaces, labels)
+        looks = Look.listed(style.get("looks"), subjects, read=False)
+        self._sheets = subjects.sheets
+        self._images = {look.of: look for look in looks if look.texture is not None}
+        self._parts, self._first, self._style = Parts(first, self._images), first, style
         bounds, _ = robust_bounds(in_3d(first.position), first.radius)
         self._centre, self._size = bounds.centre, bounds.size
         self.notes: list[str] = []
@@ -78,13 +87,18 @@ class WebStage:
     def _look(self, first: Frame, camera: Any) -> None:
         start = self.server.viser.initial_camera
         self.scene.set_up_direction("+y")
+        free = (PICTURE[0] - PANEL, PICTURE[1])  # beside the panel
         if first.dim == 3:
-            seen = Tracker(first, camera, PICTURE[0] / PICTURE[1]).first
+            seen = Tracker(first, camera, free[0] / free[1]).first
         else:
-            low, scale = flat_view([first], PICTURE)
-            middle = np.array([*(low + np.array(PICTURE) / 2 / scale), 0.0])
-            away = (0.0, 0.0, PICTURE[1] / 2 / scale / np.tan(np.radians(FLAT_FOV / 2)))
+            low, scale = flat_view([first], free)
+            middle = np.array([*(low + np.array(free) / 2 / scale), 0.0])
+            away = (0.0, 0.0, free[1] / 2 / scale / np.tan(np.radians(FLAT_FOV / 2)))
             seen = Camera(triple(middle + away), triple(middle), fov=FLAT_FOV)
+        if camera is None:
+            distance = np.linalg.norm(np.subtract(seen.eye, seen.target))
+            aside = PANEL / PICTURE[1] * np.tan(np.radians(seen.fov / 2)) * distance * seen.axes()[0]
+            seen = replace(seen, eye=triple(seen.eye + aside), target=triple(seen.target + aside))
         start.up, start.fov = seen.up, float(np.radians(seen.fov))
         start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()
 
@@ -117,6 +131,9 @@ class WebStage:
         self._sizes = _like_sizes(self._radius)
 
     def _surface(self, k: int, surface: Surface) -> WebSurface:
+        if surface.name in self._images:
+            sheet = self._parts.triangles(self._first)[k] if surface.name in self._sheets else None
+            surface = textured(surface, self._images[surface.name], sheet)
         corners = np.unique(surface.corners)
 
         def nearest(frame: Frame, event: Any) -> int:

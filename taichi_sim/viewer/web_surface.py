@@ -1,6 +1,7 @@
 """A surface on pages."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,10 @@ from numpy.typing import NDArray
 
 from taichi_sim.outputs.parts import Surface, few_colours
 from taichi_sim.render.colouring import Colouring
+from taichi_sim.render.styles import WITHIN, unmirrored
+from taichi_sim.scene.looks import Look
 
-__all__ = ["WebSurface", "to_bytes"]
+__all__ = ["WebSurface", "textured", "to_bytes"]
 
 BANDS = 12  # colours of a surface that is coloured by a quantity
 BAND_COLOURS = Colouring.shades(BANDS)
@@ -72,6 +75,21 @@ class WebSurface:
             used = np.zeros(len(self.surface.corners), dtype=bool)
             used[mine] = True
             yield f"{self._name}_{word}{k}", palette[k], used, (np.cumsum(used) - 1)[mine].astype(np.uint32)
+
+
+def textured(surface: Surface, look: Look, sheet: NDArray | None) -> Surface:
+    """A surface with the colours of its look's texture at its vertices: viser has no images on meshes that move. sheet: its
+    triangles (t, 3) where it is a rectangular sheet. Raises SceneError where the image cannot be read."""
+    if surface.uv is None:
+        return surface
+    uv, repeat = surface.uv if sheet is None else unmirrored(surface.uv, sheet), look.repeat or 1.0
+    sizes = look.sizes()
+    fine = [one for one in sizes if one.shape[0] * one.shape[1] * repeat**2 >= len(uv)]
+    image = (fine or sizes[:1])[-1]  # about a pixel for each vertex
+    across, up = np.moveaxis(repeat * (0.5 + WITHIN * (uv - 0.5)) % 1.0, 1, 0)
+    height, width = image.shape[:2]
+    row, column = ((1.0 - up) * height).astype(np.int64), (across * width).astype(np.int64)
+    return replace(surface, colour=image[np.minimum(row, height - 1), np.minimum(column, width - 1)] / 255.0)
 
 
 def to_bytes(colour: NDArray) -> NDArray[np.uint8]:

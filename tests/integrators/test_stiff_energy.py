@@ -1,5 +1,6 @@
 """Implicit methods gain no energy, however stiff bodies are, however long the step is and however coarse the solutions."""
 
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
@@ -69,6 +70,29 @@ def test_what_lands_on_stiff_springs_gains_no_energy_and_leaves_again(method, h)
     assert landed.all()
     assert np.diff(stored).max() < 5e-3 * stored[0]
     assert left.sum() >= (bodies // 2 if method == "tr_bdf2" else 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("restitution", "friction", "h"), [(0.35, 0.25, 0.007), (0.6, 0.1, 0.01)])
+def test_a_damped_body_that_bounces_in_a_hollow_gains_no_energy(restitution, friction, h):
+    """What pressed a ball that came to lie in the surface, or that lost touch with it, was thrown back as an impact."""
+    for shape in (ts.Sphere((0, 0, 0), 0.5, hollow=0.1), ts.Capsule((0, 0, -1), (0, 0, 1), 0.5, hollow=0.1)):
+        scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+        scene.add_material("gel", restitution=restitution, friction=friction)
+        scene.add_collider(replace(shape, material="gel"))
+        ts.shapes.jelly(
+            scene, (0.25, 0.25, 0.25), (3, 3, 3), density=150.0, young_modulus=1.5e4, poisson_ratio=0.3, damping=0.4,
+            position=(-0.125, -0.1, -0.1), rotation=(12, 0, 20), material="gel",
+        )  # fmt: skip
+        with simulate(scene, integrator="tr_bdf2", dt=h, substeps=1) as sim:
+            stored, fastest = [], 0.0
+            for _ in range(round(0.6 / h)):
+                energy = sim.energy()
+                stored.append(energy.total)
+                fastest = max(fastest, energy.kinetic)
+                sim.step()
+        assert min(stored) < stored[0] - 0.2 * fastest  # it came to the bottom
+        assert np.diff(stored).max() < 1e-3 * fastest
 
 
 @pytest.mark.slow

@@ -17,6 +17,7 @@ from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.camera import view_matrix
 from taichi_sim.render.tracker import Tracker
 from taichi_sim.scene.camera_path import CameraPath, eased
+from taichi_sim.shapes import cloth
 
 pytestmark = pytest.mark.once
 
@@ -455,6 +456,32 @@ def test_what_hangs_fills_the_picture_of_a_run(pole):
     assert np.ptp(seen[:, 1]) > 1.5  # of the 2 from edge to edge
     start = on_screen(Camera.fit(frames[0], ASPECT), frame_at(0, frames[0].position * (1, 0, 1)))
     assert np.abs(start).max() < 1  # where it may fall is not known yet
+
+
+def strip(pinned, floor):
+    """The first frame of a strip of cloth that is held by one side, or loose, above a floor, or above nothing."""
+    scene = Scene(dim=3, gravity=(0, -5, 0))
+    cloth(scene, size=(1.4, 0.8), resolution=(8, 5), position=(0, 2.0, 0), pinned=pinned)
+    if floor:
+        scene.add_wall((0, 1, 0))
+    with Simulation(scene, contacts="off") as sim:
+        return sim.frame()
+
+
+@pytest.mark.parametrize("floor", [True, False])
+def test_the_first_frame_leaves_room_for_what_swings_down_but_not_for_the_ground_below(floor):
+    first = strip("left", floor)
+    camera = Camera.fit(first, ASPECT)
+    seen = [np.abs(on_screen(camera, first))]
+    for angle in np.radians((30, 60, 90)):
+        x = first.position.copy()
+        x[:, 0], x[:, 1] = first.position[:, 0] * np.cos(angle), 2.0 - first.position[:, 0] * np.sin(angle)
+        seen.append(np.abs(on_screen(camera, frame_at(0, x))))
+    assert max(one.max() for one in seen) < 1
+    assert max(one[:, 1].max() for one in seen) > 0.75
+    loose = strip(False, floor)
+    fallen = on_screen(Camera.fit(loose, ASPECT), frame_at(0, loose.position * (1, 0, 1)))
+    assert (np.abs(fallen).max() < 1) == floor
 
 
 def test_the_ground_that_a_run_reaches_is_in_its_picture():

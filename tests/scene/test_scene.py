@@ -32,10 +32,24 @@ def tetrahedron() -> Scene:
     return scene
 
 
+def flat(**cells) -> Scene:
+    scene = pair(position=[[0, 0], [1, 0], [2, 0], [0, 1]])
+    scene.add_cells(**({"bulk_modulus": 1.0} | cells))
+    return scene
+
+
 def springs(**changes) -> Scene:
     scene = pair()
     scene.add_springs(**({"pairs": [[0, 1]], "stiffness": 1.0} | changes))
     return scene
+
+
+def bending(weights) -> None:
+    tetrahedron().add_bending([[0, 1, 2, 3]] * 2, weights=[[-1, -1, 1, 1], weights], stiffness=1, hinge=True)
+
+
+def brick(**given) -> None:
+    flat(corners=[0, 1, 3]).add_bricks([0, 3, 1, 2], young_modulus=1, poisson_ratio=0, **given)
 
 
 def test_defaults():
@@ -121,6 +135,28 @@ REFUSED = [
     (lambda: pair().add_triangles([[0, 1, 1]], collides=True), r"triangles\.collides: .*dim = 3"),
     (lambda: three().add_triangles([[0, 1, 2], [0, 1, 1]], collides=True), r"triangles\[1\]: \[0, 1, 1\] .*different"),
     (lambda: three().add_triangles([[0, 1, 2]], collides=[True, False]), r"triangles\.collides: .*list of 1"),
+    (lambda: springs(collides=True, break_strain=0.1), r"break_strain\[0\]: a stick, which collides, cannot tear"),
+    (lambda: springs(rest_length=0.0, break_strain=0.1), r"break_strain\[0\]: this spring has rest length 0"),
+    (lambda: pair().set_balls(body=[0, 0.5]), r"balls\.body\[1\]: 0\.5 .*whole number"),
+    (lambda: flat(corners=[[0, 1, 3], [0, 1, 2]]), r"cells\.corners\[1\]: \[0, 1, 2\] is flat now; give a rest_volume"),
+    (lambda: flat(corners=[[0, 1, 3], [0, 1, 1]]), r"cells\.corners\[1\]: \[0, 1, 1\] names a ball twice; give 3"),
+    (lambda: flat(corners=[0, 1, 3], bulk_modulus=-1), r"cells\.bulk_modulus: -1"),
+    (lambda: flat(corners=[[0, 1, 3], [1, 2, 3]], together=[0, 0.5]), r"cells\.together\[1\]: 0\.5 .*whole number"),
+    (
+        lambda: three().add_membranes([[0, 1, 2], [0, 1, 1]], warp=1),
+        r"membranes\.corners\[1\]: \[0, 1, 1\] has no area",
+    ),
+    (
+        lambda: three().add_membranes([[0, 1, 2]], warp=3, coupling=-4),
+        r"membranes\.coupling\[0\]: -4\.0 .*at most 3, the",
+    ),
+    (lambda: bending([-1, -1, 1, 2]), r"bending\.weights\[1\]: \[-1\.0, -1\.0, 1\.0, 2\.0\] .*sum is 0"),
+    (
+        lambda: bending([-1, -1, -1, 3]),
+        r"bending\.weights\[1\]: \[-1\.0, -1\.0, -1\.0, 3\.0\] .*of a hinge: .* one sign",
+    ),
+    (lambda: brick(rest_size=[1, -1]), r"bricks\.rest_size\[0\]: .*positive"),
+    (lambda: brick(), r"bricks\.corners\[0\]: is no box now"),
     (lambda: tetrahedron().add_gas(CLOSED, pressure=1.0, volume=-1.0), r"gases\.volume: -1\.0 is not allowed"),
 ]
 

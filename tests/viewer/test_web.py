@@ -19,6 +19,8 @@ from window_support import LOGGED
 
 import taichi_sim as ts
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.render.camera import Camera
+from taichi_sim.render.styles import unmirrored
 from taichi_sim.viewer.web_server import WebServer
 from taichi_sim.viewer.web_stage import MOST_BALLS, WebStage
 
@@ -229,6 +231,53 @@ def test_all_that_a_scene_holds_is_shown_and_moves():
         before = page.parts["/surface0_own0"]["updates"]
         stage.show(sheet(9, 0.9))
         page.until(lambda: page.parts["/surface0_own0"]["updates"] > before)
+
+
+def test_the_first_answer_says_that_it_compiles_and_fetches_the_page():
+    with WebServer(port=0) as server:
+        first = urllib.request.urlopen(server.url, timeout=30)
+        words = first.read().decode()
+        page = urllib.request.urlopen(server.url + "?page", timeout=30).read()
+    assert "taichi_sim is compiling its kernels" in words
+    assert len(words) < 2000 < len(page)
+    assert first.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert first.headers["Referrer-Policy"] == "no-referrer"
+
+
+def test_a_texture_lies_on_a_cloth_as_in_pictures(tmp_path):
+    """Its lower left corner at the ball whose places on it are 0, turned over where it would be mirrored in front."""
+    from PIL import Image
+
+    image = np.zeros((40, 40, 3), dtype=np.uint8)
+    image[:20, :20], image[20:, :20], image[:20, 20:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+    Image.fromarray(image).save(tmp_path / "a.png")
+    scene = ts.Scene(dim=3)
+    flag = ts.shapes.cloth(scene, size=(2, 1), resolution=(9, 7), rotation=(-20, 0, 0))
+    scene.set_name(flag.balls, "flag")
+    with ts.Simulation(scene, arch="cpu", contacts="off") as sim, WebServer(port=0) as server:
+        frame = sim.frame()
+        stage = WebStage(server, frame, {"looks": [{"of": "flag", "texture": str(tmp_path / "a.png")}]})
+        painted = stage._surfaces[0].surface
+        front = unmirrored(painted.uv, stage._parts.triangles(frame)[0])
+    for corner, colour in (((0, 1), (1, 0, 0)), ((0, 0), (0, 1, 0)), ((1, 1), (0, 0, 1)), ((1, 0), (0, 0, 0))):
+        k = int(np.abs(front - corner).sum(axis=1).argmin())
+        assert painted.colour[k].tolist() == list(colour)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_panel_covers_nothing_of_the_scene(dim):
+    """Seen through the camera of the page, in a window of 1280 x 880."""
+    rng = np.random.default_rng(8)
+    x = rng.uniform(-3, 2, (30, dim))
+    with WebServer(port=0) as server:
+        stage = WebStage(server, Frame(0.0, x, 0 * x, np.full(30, 0.02)), {})
+        start = server.viser.initial_camera
+        eye, target = np.array(start.position), np.array(start.look_at)
+        camera = Camera(tuple(eye), tuple(target), tuple(start.up), float(np.degrees(start.fov)))
+        right, up, forward = ((stage._to_page(x) - eye) @ camera.axes().T).T
+    px = 440 / np.tan(start.fov / 2) * right / forward + 640
+    assert px.min() > 0
+    assert px.max() < 1280 - 330
 
 
 def test_a_scene_of_any_size_and_anywhere_is_as_large_and_in_the_middle():
