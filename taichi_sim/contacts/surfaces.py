@@ -121,8 +121,14 @@ class Surfaces:
     @ti.func
     def record(self, i, k, p):
         """Its contact k gave ball i the impulse p, for probes."""
+        self.received.add(i, self.receiver(i, k), p)
+
+    @ti.func
+    def receiver(self, i, k):
+        """Number in `received` of contact k of ball i; -1 if no probe asks for it."""
+        body = -1
         if k < self.planes.count:
-            self.received.add(i, self.received.plane[k], p)
+            body = self.received.plane[k]
         elif ti.static(self.has_colliders):
-            solid = self.collider_contacts.collider(i, k - self.planes.count)
-            self.received.add(i, self.received.solid[solid], p)
+            body = self.received.solid[self.collider_contacts.collider(i, k - self.planes.count)]
+        return body

@@ -206,6 +206,12 @@ class FreeBodies:
                     table[i].v = table[i].v + self.shift[self.bodies.of(i)]
 
     @ti.func
+    def find_lack(self, table: ti.template(), target: ti.template()):
+        """shift = the mean velocity that each free body lacks with the velocities table.v, of `target` (n) [m/s]."""
+        if ti.static(self.some):
+            self._collect(table, target, 1.0)
+
+    @ti.func
     def add_change(self, dv: ti.template(), table: ti.template(), target: ti.template()):
         """dv (n) [m/s] += the change of the velocity of each body's centre of mass from table.v to `target`, which becomes
         `change`. 0 where a pin holds it: what acts on all of a free body alike deforms nothing."""

@@ -91,7 +91,7 @@ class StageSolver(Verdicts):
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
-        self.holds = self.rubs = False
+        self.holds = self.rubs = self.reports = False
         self.held: Any = None
         if not self.has_springs and not self.has_elements:
             return
@@ -125,6 +125,7 @@ class StageSolver(Verdicts):
             columns |= dict.fromkeys(MOMENTA, ti.types.vector(self.dim, self.wide))
         self.part = self.bodies.columns(columns)
         self.free = FreeBodies(model, self.bodies, fields)
+        self.reports = self.holds and self.held.reports and self.free.some
         self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
         if self.turns_freely:
             self.turns = FreeTurns(model, self.bodies, self.free, fields)
@@ -682,6 +683,13 @@ class StageSolver(Verdicts):
             change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
             self.last[stage * self.n + i] = self.velocity(i) - self.first[i] - change
         self.judge_all()
+
+    @ti.func
+    def report(self, part):
+        """Tell probes of `part` of the momentum that bodies lack with the velocities `base`, of those in q; see HeldBalls."""
+        if ti.static(self.reports):
+            self.free.find_lack(self.base, self.q)
+            self.held.report(self.free, part)
 
     @ti.func
     def begins(self, b):

@@ -61,8 +61,8 @@ class TRBDF2(Implicit):
             self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
 
     def memory(self) -> list[Any]:
-        """Field of what springs did at the end of the step before."""
-        return [self.slope]
+        """Fields of what springs did at the end of the step before, and of what pushed each body last."""
+        return [self.slope, *([self.solver.held.last_pushing] if self.solver.reports else [])]
 
     def recall(self) -> None:
         """No opening stage is due."""
@@ -115,9 +115,24 @@ class TRBDF2(Implicit):
                 self.rest[i] = self.solver.base[i].v - self.ball[i].v
             elif stage != 1:
                 self.slope[i] = (self.solver.base[i].v - self.solver.q[i]) / (self.part * h)
+            if ti.static(self.solver.reports):
+                self.solver.q[i] = self._velocity_of_kicks(i, stage, answers)
+        self.solver.report(ti.select(answers, 0.5, 1.0))
         if ti.static(self.answers):
             if answers:
                 self._answer(h)
+
+    @ti.func
+    def _velocity_of_kicks(self, i, stage, answers):
+        """Velocity that ball i has at the end of a stage in which the momentum of its body changes for good, if nothing but
+        kicks from outside change it; else the one that it has. What stages left out and slopes carry on is the difference."""
+        v = self.solver.base[i].v
+        if stage == 2:
+            v = self.ball[i].v + (MIDDLE * GAMMA) * self.kick[i] + self.solver.kick[i]
+        elif ti.static(self.answers):
+            if answers and self.struck[self.solver.bodies.of(i)] > 0:
+                v = self.ball[i].v
+        return v
 
     @ti.func
     def _answer(self, h):

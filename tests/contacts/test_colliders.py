@@ -13,6 +13,7 @@ from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
+from taichi_sim.shapes import jelly
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -414,3 +415,28 @@ def test_what_rests_on_a_floor_that_leaves_at_once_falls_from_then_on(method):
             fallen = y + k * h * v - 0.5 * g * (k * h) ** 2
             assert np.abs(sim.position[:, 1] - R - fallen).max() < 100 * EPS
             assert np.abs(sim.velocity[:, 1] - (v - g * k * h)).max() < 100 * EPS * speed
+
+
+@pytest.mark.skipif(not F64, reason="a balance to rounding")
+@pytest.mark.parametrize("friction", [0.0, 0.4])
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_a_collider_receives_what_a_soft_body_loses(method, friction):
+    scene = ts.Scene(dim=2, gravity=(1.0, -8.0))
+    scene.add_material("rough", friction=friction)
+    made = jelly(
+        scene, (0.3, 0.15), (3, 2), density=700.0, young_modulus=2e4, poisson_ratio=0.25, radius=0.02, material="rough"
+    )
+    place = scene.position - scene.position.min(axis=0) + np.array([0.0, 0.05])
+    scene.set_balls(made.balls, position=place, velocity=(-0.4, -0.8))
+    scene.add_collider(ts.Box((0.0, -0.5), (4.0, 1.0), material="rough", rotation=-7.0))
+    scene.add_probe("push", "impulse", collider=0)
+    mass, lost = scene.mass, []
+    with simulate(scene, integrator=method, dt=0.003) as sim:
+        start = mass @ sim.velocity
+        for _ in range(100):
+            sim.step(1)
+            given = mass.sum() * sim.time * np.array([1.0, -8.0])
+            received = sim.snapshot().impulses[0]
+            lost.append(start + given - mass @ sim.velocity - received)
+    assert np.abs(received).max() > 0.1 * mass.sum()
+    assert np.abs(lost).max() < 1e-11 * mass.sum()
