@@ -93,15 +93,9 @@ def distance_by_list(triangle: ti.template(), listed: ti.template(), away: ti.te
     `last` can be closest, in the order of their distances `away` [m] from a place that is `out` [m] from p."""
     closest = listed[first]
     r, feature = from_triangle(triangle, closest, p)
-    square = r.dot(r)
-    reach = ti.sqrt(square) + out
     e = first + 1
-    while e < last and away[e] < reach:  # no triangle is nearer to p than that
-        if least_square(triangle, listed[e], p) < square:
-            q, on = from_triangle(triangle, listed[e], p)
-            if q.dot(q) < square:
-                r, feature, closest, square = q, on, listed[e], q.dot(q)
-                reach = ti.sqrt(square) + out
+    while e < last and away[e] < r.norm() + out:  # no triangle is nearer to p than that
+        r, feature, closest = nearer(triangle, listed[e], p, r, feature, closest)
         e += 1
     d, n = signed(triangle, closest, feature, r)
     return d, n

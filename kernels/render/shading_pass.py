@@ -108,7 +108,7 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
 
 
 @ti.func
-def behind_shares(scene: ti.template(), view, light, look, planes, on_screen, eye, ray, k, x, y, width):
+def behind_shares(scene: ti.template(), view, light, look, planes, eye, ray, k, x, y, width):
     """Shares of the lamp and of the sky on a plane."""
     share, openness = ti.f32(1.0), ti.f32(1.0)
     if ti.static(scene.has_occlusion):
@@ -162,7 +162,7 @@ def shade(
         if ti.static(scene.catches_shadow):
             k = ti.abs(which) - 1
             if covered < scene.samples and k >= 0:
-                shares = behind_shares(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
+                shares = behind_shares(scene, view, light, look, planes, eye, ray, k, x, y, width)
                 behind = plane_colour(scene, view, planes, look, eye, ray, k, *shares)
                 solid += (scene.samples - covered) * darkening(behind, scene.backdrop[pixel])
         packed = encode(total / ti.max(solid, ti.f32(1e-6)), x, y) | alpha_byte(solid / scene.samples)
@@ -172,7 +172,7 @@ def shade(
             behind = scene.backdrop[pixel]
             k = ti.abs(which) - 1
             if k >= 0:
-                shares = behind_shares(scene, view, light, look, planes, on_screen, eye, ray, k, x, y, width)
+                shares = behind_shares(scene, view, light, look, planes, eye, ray, k, x, y, width)
                 if shares[0] < 1:
                     behind, plain = plane_colour(scene, view, planes, look, eye, ray, k, *shares), False
                 elif shares[1] < ti.f32(OPEN):

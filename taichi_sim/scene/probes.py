@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Names
-from taichi_sim.scene.strains import element_strains
+from taichi_sim.scene.strains import STRAINED, element_strains
 
 __all__ = ["KINDS", "Probe", "ProbeSample", "Probed", "add", "bodies_of"]
 
@@ -158,7 +158,7 @@ class Strain(Probe):
         if _only_one(cls.kind, asked) == "springs":
             return cls(name, {"springs": _several("spring", asked["springs"], scene.n_springs)})
         balls = _balls(scene, asked["balls"])
-        strained = (scene.pairs, scene.membranes, scene.bricks, scene.solids)
+        strained = (scene.pairs, *(element.corners(scene) for element in STRAINED))
         if not any(np.isin(k, balls).all(axis=1).any() for k in strained):
             says = "no spring, triangle, brick or solid lies between them; there is no strain to measure"
             raise SceneError("probes.balls", says=says)

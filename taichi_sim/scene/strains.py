@@ -5,13 +5,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.scene.bricks import BRICKS
-from taichi_sim.scene.membranes import MEMBRANES
-from taichi_sim.scene.solids import SOLIDS
+from taichi_sim.scene.elements import ELEMENTS
 
-__all__ = ["cut", "element_strains"]
+__all__ = ["STRAINED", "cut", "element_strains"]
 
 Floats = NDArray[np.float64]
+STRAINED = tuple(element for element in ELEMENTS if hasattr(element, "gradients"))
 
 
 def element_strains(scene: Any, x: Floats, torn: NDArray[np.bool_] | None) -> list[tuple[NDArray, Floats]]:
@@ -20,7 +19,7 @@ def element_strains(scene: Any, x: Floats, torn: NDArray[np.bool_] | None) -> li
     The strain is the principal one that is the largest in amount, with its sign; that of a brick at its centre.
     """
     found = []
-    for element in (MEMBRANES, BRICKS, SOLIDS):
+    for element in STRAINED:
         corners = element.corners(scene)
         if torn is not None and torn.any():
             whole = ~cut(corners, scene.pairs[torn], scene.n_balls)

@@ -48,10 +48,6 @@ def bending(weights) -> None:
     tetrahedron().add_bending([[0, 1, 2, 3]] * 2, weights=[[-1, -1, 1, 1], weights], stiffness=1, hinge=True)
 
 
-def brick(**given) -> None:
-    flat(corners=[0, 1, 3]).add_bricks([0, 3, 1, 2], young_modulus=1, poisson_ratio=0, **given)
-
-
 def test_defaults():
     scene = springs()
     assert scene.mass.tolist() == [1, 1]
@@ -155,8 +151,6 @@ REFUSED = [
         lambda: bending([-1, -1, -1, 3]),
         r"bending\.weights\[1\]: \[-1\.0, -1\.0, -1\.0, 3\.0\] .*of a hinge: .* one sign",
     ),
-    (lambda: brick(rest_size=[1, -1]), r"bricks\.rest_size\[0\]: .*positive"),
-    (lambda: brick(), r"bricks\.corners\[0\]: is no box now"),
     (lambda: tetrahedron().add_gas(CLOSED, pressure=1.0, volume=-1.0), r"gases\.volume: -1\.0 is not allowed"),
 ]
 

@@ -37,7 +37,7 @@ def draw(findings: Findings) -> Any:
         _frame(axis, NAMES[precision], findings.compared.name)
         axis.set_xlim(low, margin * (high / low) ** 0.04)
         for method in findings.plan.methods:
-            _curve(axis, findings, [r for r in findings.rows if (r.method, r.precision) == (method, precision)], margin)
+            _curve(axis, [r for r in findings.rows if (r.method, r.precision) == (method, precision)], margin)
         _front(axis, findings, precision)
         if any(row.verdict == UNSTABLE for row in findings.rows):
             axis.axvline(high, color=INK, lw=0.5, ls=":")
@@ -67,7 +67,7 @@ def _frame(axis: Any, title: str, name: str) -> None:
     dress(axis)
 
 
-def _curve(axis: Any, findings: Findings, rows: list[Row], margin: float) -> None:
+def _curve(axis: Any, rows: list[Row], margin: float) -> None:
     """The stable rows of one method joined, the unstable ones as crosses at the right margin."""
     if not rows:
         return

@@ -125,7 +125,7 @@ class _Level:
         for kind, k in tables:
             table = self.document[kind][k]
             number = len(groups[named[kind][k]["name"]])
-            grid = self._grid(kind, k, table, number) if kind in MATERIAL and "mesh" not in table else None
+            grid = self._grid(kind, k, table) if kind in MATERIAL and "mesh" not in table else None
             refined += grid is not None
             inside = np.arange(number) if grid is None else _nested(grid)
             self.named[named[kind][k]["name"]] = (inside, grid)
@@ -146,7 +146,7 @@ class _Level:
             )
         self.everywhere = np.concatenate(parts)
 
-    def _grid(self, kind: str, k: int, table: dict[str, Any], number: int) -> tuple[int, ...]:
+    def _grid(self, kind: str, k: int, table: dict[str, Any]) -> tuple[int, ...]:
         """Balls along each axis. Raises SceneError for springs that are no material, which another mesh makes another body."""
         chain = next((key for key in CHAIN if key in table), None) if kind == "rope" else None
         if chain is not None:
