@@ -17,14 +17,16 @@ def scene(slack=SLACK, stiffness=3000.0, layers=5):
     scene.add_material("rubber", restitution=0.2, friction=0.3)
     knots = np.stack(np.meshgrid(np.arange(NUMBER), np.arange(NUMBER), indexing="ij"), axis=-1).reshape(-1, 2)
     edge = np.any((knots == 0) | (knots == NUMBER - 1), axis=1)
-    place = np.insert((knots / (NUMBER - 1) - 0.5) * SIDE, 1, 1.6, axis=1)
+    mesh = SIDE / (NUMBER - 1)
+    # every other knot lies higher, by what brings slack cords to their length: pressed flat they would fling the net about
+    height = 1.6 + mesh * np.sqrt(slack**2 - 1.0) * (knots.sum(axis=1) % 2 - 0.5)
+    place = np.insert((knots / (NUMBER - 1) - 0.5) * SIDE, 1, height, axis=1)
     index = scene.add_balls(
         place, radius=0.02, mass=0.02, pinned=edge, material="rubber", body=scene.new_body(), colour=(0.25, 0.22, 0.2)
     ).reshape(NUMBER, NUMBER)
     cords = [(index[:-1], index[1:]), (index[:, :-1], index[:, 1:])]
     pairs = np.concatenate([np.stack([a.ravel(), b.ravel()], axis=1) for a, b in cords])
-    length = slack * SIDE / (NUMBER - 1)
-    scene.add_springs(pairs, stiffness=stiffness, damping=0.6, rest_length=length, collides=True)
+    scene.add_springs(pairs, stiffness=stiffness, damping=0.6, rest_length=slack * mesh, collides=True)
     for k, colour in enumerate(
         ((0.9, 0.3, 0.25), (0.95, 0.72, 0.25), (0.2, 0.55, 0.6), (0.9, 0.88, 0.82), (0.5, 0.35, 0.6))[:layers]
     ):

@@ -27,6 +27,13 @@ def one(depth, radius, u, presses, ball):
 
 
 @ti.func
+def is_old(depth, u, rate):
+    """True if two things with the normal speed u touched before the move of the last step already, of 1 / rate seconds: their
+    overlap [m] is more than that move can have made of it. Twice as much, since forces change the speed once more."""
+    return depth * rate > -2.0 * u
+
+
+@ti.func
 def join(a, b):
     """Statistics of two sets of contacts together."""
     total = a

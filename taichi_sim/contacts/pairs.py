@@ -111,7 +111,7 @@ class Pairs:
             loops.search(self)
 
     @ti.func
-    def statistics(self, ball: ti.template(), i):
+    def statistics(self, ball: ti.template(), solver: ti.template(), i):
         """Statistics of the pairs that ball i lists and that touch, give or take rounding."""
         total = statistics.nothing()
         for t in range(self.number[i]):
@@ -127,7 +127,8 @@ class Pairs:
                 presses = False
                 if ti.static(self.plan.warm_starts):
                     presses = self.link[e].impulse > 0.0
-                total = statistics.join(
-                    total, statistics.one(ti.max(0.0, one + two - d), ti.min(one, two), u, presses, i)
-                )
+                depth = ti.max(0.0, one + two - d)
+                if ti.static(not self.plan.impacts_in_turn):  # then even what only just arrived may hold an impulse
+                    presses = presses and statistics.is_old(depth, u, solver.rate[0])
+                total = statistics.join(total, statistics.one(depth, ti.min(one, two), u, presses, i))
         return total

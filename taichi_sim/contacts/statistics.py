@@ -16,8 +16,8 @@ __all__ = ["ContactStatistics"]
 
 @ti.data_oriented
 class ContactStatistics:
-    """Asks each kind of contact in `contacts.parts` for those of ball i: a function `statistics(ball, i)`, see
-    kernels.contacts.statistics. A contact of two balls belongs to one of them."""
+    """Asks each kind of contact in `contacts.parts` for those of ball i: a function `statistics(ball, solver, i)`,
+    see kernels.contacts.statistics. A contact of two balls belongs to one of them."""
 
     def __init__(self, fields: Fields, contacts: ContactRule) -> None:
         self.contacts, self.n = contacts, contacts.n
@@ -34,7 +34,7 @@ class ContactStatistics:
         for k in range(members(c, self.chunks, self.n)):
             i = member(c, k, self.chunks)
             for part in ti.static(self.contacts.parts):
-                total = statistics.join(total, part.statistics(ball, i))
+                total = statistics.join(total, part.statistics(ball, self.contacts, i))
         self.sums[c] = total
 
     def look(self, ball: Any) -> NDArray[np.float64]:

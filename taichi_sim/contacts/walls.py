@@ -386,7 +386,7 @@ class Walls(Surfaces):
         return d
 
     @ti.func
-    def statistics(self, ball: ti.template(), i):
+    def statistics(self, ball: ti.template(), solver: ti.template(), i):
         """Statistics of the walls and colliders that ball i touches; one that rests lies on the surface, give or take
         rounding."""
         total = statistics.nothing()

@@ -161,7 +161,7 @@ class WeightedContacts:
         return q * self.model.inverse_mass[i]
 
     @ti.func
-    def statistics(self, ball: ti.template(), i):
+    def statistics(self, ball: ti.template(), solver: ti.template(), i):
         """Statistics of the contacts that touch and whose first ball is ball i."""
         total = statistics.nothing()
         for e in range(self.first[i], self.first[i] + self.number[i]):

@@ -206,8 +206,10 @@ def test_settings_of_the_solver():
     ):
         with simulate(scene, dt=dt) as sim:
             assert sim.substeps == substeps
-    for count, mass, passes in ((2, 1.0, 2), (32, 1.0, 1), (32, 100.0, 2)):
+    for count, mass, passes, sticks in ((2, 1, 2, False), (32, 1, 1, False), (32, 100, 2, False), (33, 1, 4, True)):
         scene = box_of_balls(2, count, count)
         scene.add_balls([[0.0, 1.0]], radius=R, mass=mass)
+        if sticks:
+            scene.add_springs([[0, 1]], stiffness=1.0, collides=True)
         with simulate(scene, dt=1e-3) as sim:
             assert sim.parts.contacts.iterations == passes

@@ -200,3 +200,41 @@ def test_a_run_whose_balls_end_deep_in_each_other_says_so_and_names_the_step():
     step = float(text.split("take steps of ")[1].split()[0])
     assert 0.05e-3 < step < 0.15e-3
     assert said(step)[0] == []
+
+
+def shower(sticks):
+    """Discs that fall on each other in a silo, so that some arrive in every step; with or without a stick beside it."""
+    rng, r, columns = np.random.default_rng(5), 0.05, 5
+    place = np.stack([np.arange(50) % columns * 2.2, np.arange(50) // columns * 3.5], axis=1)
+    place[:, 0] += rng.uniform(-0.09, 0.09, 50)
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    scene.add_material("m", restitution=0.25, friction=0.4)
+    scene.add_balls(r * (place + 1.0), radius=r, velocity=(0.0, -1.2), mass=0.5, material="m")
+    if sticks:
+        ends = scene.add_balls([[-2, 1], [-2.3, 1]], radius=0.01, pinned=True)
+        scene.add_springs([ends], stiffness=20.0, collides=True)
+    scene.add_wall((0, 1), 0.0, "m")
+    scene.add_wall((1, 0), -0.2 * r, "m")
+    scene.add_wall((-1, 0), -r * 2.2 * columns, "m")
+    return scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rule", "sticks"), [("gauss_seidel", True), ("jacobi", False)])
+def test_what_only_just_arrives_is_not_left_by_iterations(rule, sticks):
+    """With 40 iterations the verdict is good, though balls arrive in each frame; with one by split masses it is not."""
+
+    def verdict(iterations):
+        with simulate(shower(sticks), dt=1e-3, substeps=1, contacts=rule, contact_iterations=iterations) as sim:
+            seen = []
+            for _ in range(150):
+                sim.step(2)
+                if (now := sim.contacts()).number:
+                    seen.append((now.unsolved, now.residual, now.largest_speed))
+            (left, arriving, _), fastest = np.median(seen, axis=0), max(row[2] for row in seen)
+            assert arriving > (5.0 if iterations > 1 else 1.0) * left
+            return outcome.of_approach(left, sim.scales(), fastest, iterations)
+
+    assert verdict(40) == "good"
+    if rule == "jacobi":
+        assert verdict(1).startswith("look at it")
