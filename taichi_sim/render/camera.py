@@ -272,11 +272,16 @@ def _content(frame: Frame, gap: float) -> tuple[Floats, Floats, NDArray[np.int64
         pin = np.append(_hung(frame, shown[kept]), np.full(len(drawn), -1))
         hung = pin >= 0
         at, down = frame.position[pin[hung]], scene.gravity / np.linalg.norm(scene.gravity)
-        low = at + np.linalg.norm(points[hung] - at, axis=1, keepdims=True) * down
+        off = points[hung] - at
+        low = at + np.linalg.norm(off, axis=1, keepdims=True) * down
+        beyond = at - off + 2.0 * np.outer(off @ down, down)
+        swung = np.concatenate([low, beyond])  # straight down, and to the other side
         for plane in walls:
-            low += np.maximum(plane[3] - low @ plane[:3], 0.0)[:, None] * plane[:3]
-        points, sizes, ball = (np.concatenate(two) for two in ((points, low), (sizes, sizes[hung]), (ball, ball[hung])))
-    falls = np.append(~hung, np.zeros(np.count_nonzero(hung), dtype=bool))
+            swung += np.maximum(plane[3] - swung @ plane[:3], 0.0)[:, None] * plane[:3]
+        points, sizes, ball = (
+            np.concatenate(some) for some in ((points, swung), (sizes, *[sizes[hung]] * 2), (ball, *[ball[hung]] * 2))
+        )
+    falls = np.append(~hung, np.zeros(len(points) - len(hung), dtype=bool))
     for plane in walls:
         height = points @ plane[:3] - plane[3]
         if 0 < height.min() < gap * bounds.size and falls.any():

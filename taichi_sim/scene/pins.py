@@ -31,7 +31,7 @@ def is_described(pins: Any) -> bool:
 
 
 def ends(n: int) -> dict[str, NDArray[np.bool_]]:
-    """What words mean of a rope of n balls: masks (n,) of its first and its last ball, and of both, which are its border."""
+    """Masks (n,) of the first and the last ball of a rope of n balls, and of both, which are its border, by their words."""
     number = np.arange(n)
     both = (number == 0) | (number == n - 1)
     return {"ends": both, "start": number == 0, "end": number == n - 1, "border": both}

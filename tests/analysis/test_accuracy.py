@@ -510,3 +510,44 @@ def test_where_nothing_touches_nothing_is_said():
     assert "residual" not in text
     for subject in ("bounces", "impacts", "overlap", "cloth"):
         assert subject not in report
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("degrees", [50, 75, 90, 110])
+def test_an_edge_comes_through_a_side_whose_balls_touch_its_two_faces(degrees):
+    """The deepest of all places in which both balls of a side do so, found by trying."""
+    ball, side, half = 0.2, 1.3, np.radians(degrees) / 2
+    along, out = np.array([np.sin(half), -np.cos(half)]), np.array([np.cos(half), np.sin(half)])
+    reach = np.linspace(0, 2 * side, 1500)
+    one = reach[:, None] * along + ball * out
+    other = one * (-1, 1)
+    a, b = one[:, None], other[None]
+    apart = np.linalg.norm(a - b, axis=2)
+    run = b - a
+    below = np.abs(run[..., 0] * a[..., 1] - run[..., 1] * a[..., 0]) / apart
+    below *= np.sign(
+        run[..., 0] * a[..., 1] - run[..., 1] * a[..., 0]
+    )  # one lies to the right: positive under the edge
+    fits = np.abs(apart - side) < 2e-3
+    assert accuracy.edge_dip(2 * half, ball, side) == pytest.approx(below[fits].max(), rel=0.02)
+
+
+@pytest.mark.once
+def test_check_names_edges_that_come_through_cloth_and_the_radius_that_keeps_them_below():
+    def found(**cloth):
+        scene = ts.Scene(dim=3, gravity=(0, -9.81, 0))
+        scene.add_collider(ts.Box((0, 0.2, 0), (0.3, 0.4, 0.5), name="table"))
+        corners = np.array([(x, y, z) for x in (0, 0.2) for y in (0, 0.3) for z in (0, 0.2)])
+        hull = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+        hull += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+        scene.add_collider(ts.Mesh((corners, hull), name="brick"))
+        ts.shapes.cloth(scene, size=(1, 1), resolution=(21, 21), surface_collision=True, **cloth)
+        return [one for one in accuracy._cloth(scene) if one.what.startswith("edges")]
+
+    table, brick = found()
+    assert (
+        table.what == "edges of colliders[0] (table), 90 degrees sharp, come through by up to 0.018 m between its balls"
+    )
+    assert brick.what.replace("[1] (brick)", "[0] (table)") == table.what
+    assert table.cure == "take a radius of 0.025 m, or, with this radius, balls at most 0.025 m apart"
+    assert found(radius=0.025) == []

@@ -473,7 +473,7 @@ def test_the_first_frame_leaves_room_for_what_swings_down_but_not_for_the_ground
     first = strip("left", floor)
     camera = Camera.fit(first, ASPECT)
     seen = [np.abs(on_screen(camera, first))]
-    for angle in np.radians((30, 60, 90)):
+    for angle in np.radians((30, 60, 90, 120, 180)):
         x = first.position.copy()
         x[:, 0], x[:, 1] = first.position[:, 0] * np.cos(angle), 2.0 - first.position[:, 0] * np.sin(angle)
         seen.append(np.abs(on_screen(camera, frame_at(0, x))))

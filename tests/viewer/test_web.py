@@ -274,7 +274,7 @@ def test_the_panel_covers_nothing_of_the_scene(dim):
         start = server.viser.initial_camera
         eye, target = np.array(start.position), np.array(start.look_at)
         camera = Camera(tuple(eye), tuple(target), tuple(start.up), float(np.degrees(start.fov)))
-        right, up, forward = ((stage._to_page(x) - eye) @ camera.axes().T).T
+        right, _, forward = ((stage._to_page(x) - eye) @ camera.axes().T).T
     px = 440 / np.tan(start.fov / 2) * right / forward + 640
     assert px.min() > 0
     assert px.max() < 1280 - 330
