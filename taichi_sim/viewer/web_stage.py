@@ -34,6 +34,7 @@ FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
 PICTURE = (1280, 720)  # px, that a page may have
+LIGHT = 0.5  # of what viser lights surfaces with beside its lamps, which alone makes colours pale
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
 
 
@@ -78,6 +79,7 @@ class WebStage:
     def _look(self, first: Frame, camera: Any) -> None:
         start = self.server.viser.initial_camera
         self.scene.set_up_direction("+y")
+        self.scene.configure_environment_map(environment_intensity=LIGHT)
         if first.dim == 3:
             seen = Tracker(first, camera, PICTURE[0] / PICTURE[1]).first
         else:
