@@ -11,7 +11,7 @@ LONG, WIDE, HIGH = SPACING * LAYER[0], SPACING * LAYER[2], SPACING * LAYER[1]
 
 def scene(friction=0.02, layers=4):
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    view = {"azimuth": 25, "elevation": 24, "distance": 11, "target": (LONG, 0.1, WIDE / 2)}
+    view = {"azimuth": 25, "elevation": 24, "distance": 8, "target": (LONG, 0.0, 0.56 * WIDE)}  # the whole floor
     scene.output = {"fps": 60, "duration": 1.5, "size": (1280, 720), "camera": view}
     scene.settings = {"dt": 0.002, "substeps": 2, "contact_iterations": 1, "spin": False}
     scene.add_material("marble", friction=friction)

@@ -27,6 +27,7 @@ html_copy_source = False
 html_show_sphinx = False
 html_show_search_summary = False  # it is fetched, which browsers refuse for files
 html_math_renderer = "paths"
+smartquotes_action = "qe"  # no dashes: `--out` keeps its hyphens outside of code, too
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
 nitpicky = True

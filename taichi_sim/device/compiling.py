@@ -8,6 +8,7 @@ time is counted for one version of Taichi only; in any other it is 0.
 
 import functools
 import hashlib
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -42,10 +43,11 @@ AT_FIRST |= dict.fromkeys(("integrator.implicit_euler", "integrator.tr_bdf2"), 1
 
 PACE = "pace"  # entry of the table: how many times AT_FIRST this machine takes, a mean of what it took lately
 LOADED_PART = 0.3  # of the time spent on kernels: where the compiler took less, most of them were in the cache
+QUIET = 5.0  # s without work on a kernel, after which an expected time that has passed was spent on something else
 LOADING = 0.4  # of the time that compiling took, what loading takes in the next process
 
 _spent = _in_compiler = 0.0
-_inside = False
+_inside, _ended = False, -math.inf
 _hear: Callable[[], None] | None = None  # what `watched` was given
 _met: set[str] = set()  # scenes of this process: a second one like it compiles and loads nothing
 _drawn = False  # pictures of a 3D scene in this process
@@ -117,14 +119,15 @@ def _until_launched(materialize: Callable, launch: Callable) -> tuple[Callable, 
 
 def _timed(function: Callable) -> Callable:
     def call(*args: Any, **kwargs: Any) -> Any:
-        global _spent, _inside
+        global _spent, _inside, _ended
         if _inside:  # a kernel that another one needs first
             return function(*args, **kwargs)
         _inside, start = True, time.perf_counter()
         try:
             return function(*args, **kwargs)
         finally:
-            _spent += time.perf_counter() - start
+            _ended = time.perf_counter()
+            _spent += _ended - start
             _inside = False
 
     return call
@@ -139,6 +142,11 @@ def watched(hear: Callable[[], None]) -> Iterator[None]:
         yield
     finally:
         _hear = before
+
+
+def _is_quiet() -> bool:
+    """True if no kernel is compiled or loaded, and none was lately: a step of a large scene takes long, too."""
+    return not _inside and time.perf_counter() - _ended > QUIET
 
 
 def _pace(known: Mapping[str, Any]) -> float:
@@ -174,16 +182,18 @@ class Expected:
 
     def words(self, waited: float = 0.0) -> str:
         """Message for those who have waited so many seconds."""
+        about = self._about() * _pace(recall(TABLE)) if self._before is None else self._before
+        if waited > max(QUIET, 0.0 if self._again else about) and _is_quiet():
+            return "no estimate yet"
         if self._again or (self._before is not None and self._before < 1.0):
             return "starting"
         if self._before is None:
-            about = self._about() * _pace(recall(TABLE))
             if waited > about:
                 return f"compiling kernels (longer than the {about:.0f} s expected, and goes on; no new estimate)"
             return f"compiling kernels (about {about:.0f} s, less where they are cached)"
-        if waited > self._before:
-            return f"loading kernels (longer than the {self._before:.0f} s of last time, and goes on; no new estimate)"
-        return f"loading kernels (about {self._before:.0f} s)"
+        if waited > about:
+            return f"loading kernels (longer than the {about:.0f} s of last time, and goes on; no new estimate)"
+        return f"loading kernels (about {about:.0f} s)"
 
     def _about(self) -> float:
         """Seconds that it takes at first on the machine that AT_FIRST is of."""

@@ -37,6 +37,7 @@ LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
 PICTURE = (1280, 880)  # px, that a page may have, or more in width
 PANEL = 330  # px of that, which the panel covers at the right
+LIGHT = 0.5  # of what viser lights surfaces with beside its lamps, which alone makes colours pale
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
 
 
@@ -88,6 +89,7 @@ class WebStage:
         start = self.server.viser.initial_camera
         self.scene.set_up_direction("+y")
         free = (PICTURE[0] - PANEL, PICTURE[1])  # beside the panel
+        self.scene.configure_environment_map(environment_intensity=LIGHT)
         if first.dim == 3:
             seen = Tracker(first, camera, free[0] / free[1]).first
         else:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -48,7 +49,8 @@ def test_a_scene_is_known_by_what_it_is_compiled_from():
     assert expected("a", "b").words() == "starting"
 
 
-def test_an_estimate_that_has_passed_says_so():
+def test_an_estimate_that_has_passed_says_so(monkeypatch):
+    monkeypatch.setattr(compiling, "_inside", True)
     assert expected("a").words(3.9) == "compiling kernels (about 4 s, less where they are cached)"
     assert expected("a").words(4.1) == "compiling kernels (longer than the 4 s expected, and goes on; no new estimate)"
     expected("a").remember(50.0, False)
@@ -56,6 +58,20 @@ def test_an_estimate_that_has_passed_says_so():
     assert (
         expected("a").words(20.1) == "loading kernels (longer than the 20 s of last time, and goes on; no new estimate)"
     )
+
+
+def test_a_long_step_is_not_taken_for_a_kernel(monkeypatch):
+    """A million balls take minutes to the next frame, long after the last kernel was there."""
+    monkeypatch.setattr(compiling, "_ended", time.perf_counter() - 2 * compiling.QUIET)
+    unknown = expected("a")
+    expected("b").remember(50.0, False)
+    known, again = expected("b"), expected("b")
+    again._again = True
+    for one, wait in ((unknown, 51.0), (known, 21.0), (again, 6.0)):
+        assert one.words(wait) == "no estimate yet"
+        assert one.words(3.0) != "no estimate yet"
+    monkeypatch.setattr(compiling, "_ended", time.perf_counter())  # the next one is loaded soon
+    assert unknown.words(51.0).startswith("compiling kernels (longer")
 
 
 def test_estimates_learn_how_fast_the_machine_is():

@@ -623,7 +623,8 @@ def test_a_notebook_shows_the_page_in_a_cell():
 @needs_browser
 @pytest.mark.long
 def test_a_browser_draws_it_without_an_error(tmp_path):
-    """Balls, a surface and the panel are seen, in two windows; the one that stays goes on when the other is closed."""
+    """Balls, a surface in about its own colour and the panel are seen, in two windows; the one that stays goes on when the other
+    is closed."""
     from io import BytesIO
 
     from PIL import Image
@@ -631,7 +632,8 @@ def test_a_browser_draws_it_without_an_error(tmp_path):
     errors = []
     with WebServer(port=0) as server, support.browser() as browser:
         first = sheet(4)
-        WebStage(server, first, {}).show(first)
+        stage = WebStage(server, first, {})
+        stage.show(first)
         from taichi_sim.viewer.web_panel import WebPanel
 
         panel = WebPanel(server, "sheet <b>", {"a.x": "m", "a.y": "m"}, "object")
@@ -645,9 +647,11 @@ def test_a_browser_draws_it_without_an_error(tmp_path):
             page.get_by_text("1 of 5 <balls> is drawn").wait_for(timeout=60_000)
             page.get_by_text("a.x [m]").wait_for(timeout=60_000)
         pages[0].close()
-        colours, end = 0, time.monotonic() + 60
+        colours, end, own = 0, time.monotonic() + 60, stage._own[0].astype(int)
         while colours < 500 and time.monotonic() < end:
             picture = np.array(Image.open(BytesIO(pages[1].screenshot(timeout=60_000))).convert("RGB")).astype(int)
-            colours = int((np.ptp(picture, axis=2) > 60)[80:, :300].sum())  # beside the panel
+            coloured = picture[80:, :300][(np.ptp(picture, axis=2) > 60)[80:, :300]]  # beside the panel
+            colours = len(coloured)
     assert colours >= 500
+    assert np.abs(np.median(coloured, axis=0) - own).max() < 60
     assert errors == []
