@@ -46,10 +46,10 @@ class HeldBalls:
     surface k: whether it `rests` there when the stage begins, whether that `holds` it, the `target` of the speed away from it,
     -FAR_GAP where the ball cannot reach it, and its `push` [m/s] and `drag` in this solution. `friction`: the `most` that it can
     change a velocity by [m/s], the part of that which comes from the stage `before`, all `drag`, and the change of velocity that
-    is `wrong` in it [m/s]. `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before the stage begins, over the length of this, and
-    `span`, the time from the start of the step to the end of the stage, over the same; `carried`, the velocity with
-    which it ends the stage if its surfaces carry it; `rubbed`, what friction changed in the last stage, and `kept`, the part of
-    that in this one.
+    is `wrong` in it [m/s]. `last_most`: the most in each stage of the step before. Of each ball [m/s]: `moved`, its way before
+    the stage begins, over its length, and `span`, the time from the start of the step to the end of the stage, over the same;
+    `carried`, the velocity with which it ends the stage if its surfaces carry it; `rubbed`, what friction changed in the last
+    stage, and `kept`, the part of that in this one.
     """
 
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
