@@ -156,6 +156,8 @@ def test_the_site_is_built_without_a_warning_and_loads_nothing_from_elsewhere(tm
     for page in (tmp_path / "site").rglob("*.html"):
         text = page.read_text(encoding="utf-8")
         assert not re.findall(r"""<(?:script|img|link)[^>]*(?:src|href)=["']?(?:https?:)?//[^>]*>""", text), page.name
+    commands = (tmp_path / "site" / "command.html").read_text(encoding="utf-8")
+    assert not re.findall(r"\s\u2013[a-z]+", commands)  # `--out` in plain words is no dash
     reference = (tmp_path / "site" / "api.html").read_text(encoding="utf-8")
     for name in ("Scene.add_balls", "Simulation.run", "shapes.cloth"):
         assert f'id="taichi_sim.{name}"' in reference
