@@ -72,6 +72,11 @@ class HeldBalls:
         self.bodies, self.wide = bodies, fields.wide
         square = ti.types.matrix(self.dim, self.dim, fields.wide)
         self.part = bodies.columns({"stops": square, "drags": square, "mass": fields.wide})
+        self.reports = walls.probed
+        if self.reports:
+            self.pushes = bodies.columns({"total": fields.wide})
+            # (bodies) number in contacts.Received of what pushed each last; as many as balls, for Simulation.save
+            self.last_pushing = fields.reals(np.full(model.n, -1.0))
         self.firm = (2.0**-52 if fields.wide == ti.f64 else 2.0**-23) ** -0.5
         self.joined = fields.integers((bodies.joined[bodies.body] & ~model.scene.pinned).astype(np.int32))
 
@@ -255,7 +260,7 @@ class HeldBalls:
     @ti.func
     def restrict(self, free: ti.template()):
         """Leave of the velocity free.shift that each body lacks what surfaces and friction allow all of it to have: they would
-        stop their balls alone, which would strain the body. What they stop is an error of the stage."""
+        stop their balls alone, which would strain the body. What they stop is an error of the stage, see `report`."""
         self.bodies.each_part(self._sum_stops, ())
         self.bodies.join((self.part.stops, self.part.drags, self.part.mass))
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -285,6 +290,45 @@ class HeldBalls:
         self.part[c].stops = stops
         self.part[c].drags = drags
         self.part[c].mass = mass
+
+    @ti.func
+    def report(self, free: ti.template(), part):
+        """Tell probes of `part` of the momentum that each body lacks by free.shift: its surfaces took it, by their pushes at the
+        end of the stage. Where none pushes any more, the last one did."""
+        self.bodies.each_part(self._sum_pushes, ())
+        self.bodies.join((self.pushes.total,))
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            if self.bodies.total(self.pushes.total, b) > 0.0:
+                self.last_pushing[b] = -1.0
+        for i in range(self.model.n):
+            b = self.bodies.of(i)
+            given, pushes = -part * free.mass[b] * free.shift[b], self.bodies.total(self.pushes.total, b)
+            if free.mass[b] > 0.0 and pushes > 0.0:
+                for k in range(self.walls.count):
+                    push = self._pushes(i, k)
+                    if push > 0.0:
+                        self.walls.record(i, k, ti.cast(push / pushes, float) * given)
+                        ti.atomic_max(self.last_pushing[b], ti.cast(self.walls.receiver(i, k), float))
+            elif free.mass[b] > 0.0 and i == self.bodies.ball(self.bodies.first_part(b), 0):
+                self.walls.received.add(i, ti.cast(self.last_pushing[b], ti.i32), given)
+
+    @ti.func
+    def _sum_pushes(self, c):
+        total = ti.cast(0.0, self.wide)
+        for j in range(self.bodies.part[c].count):
+            for k in range(self.walls.count):
+                total += self._pushes(self.bodies.ball(c, j), k)
+        self.pushes[c].total = total
+
+    @ti.func
+    def _pushes(self, i, k):
+        """Impulse by which surface k pushes ball i in the stage [N s], 0 where it does not hold it."""
+        push = ti.cast(0.0, self.wide)
+        if self.contact[i * self.walls.count + k].holds == 1:
+            push = ti.cast(self.contact[i * self.walls.count + k].push, self.wide)
+            push /= ti.cast(self.model.inverse_mass[i], self.wide)
+        return push
 
     @ti.func
     def rests(self, i):
