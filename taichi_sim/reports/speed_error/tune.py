@@ -161,7 +161,7 @@ def _find(trials: Trials, reference: Reference, runs: Runs) -> tuple[list[Row], 
         for method in methods:
             fastest = min(good, key=lambda row: row.seconds or 0.0, default=None)
             if fastest is not None and method != fastest.method and (why := _cannot_win(trials, method, good)):
-                untried[method] = why
+                untried[method if precision == plan.precisions[0] else f"{method} in {precision}"] = why
                 continue
             longest = next((row.step for row in good if row.method == method), np.inf)
             row = _longest(trials, reference, precision, method, fastest, longest, spare)
