@@ -282,6 +282,8 @@ class HeldBalls:
             if self.holds(i):
                 m = 1.0 / ti.cast(self.model.inverse_mass[i], self.wide)
                 normals = ti.cast(self.normals[i], self.wide)
+                # a projection up to rounding of `wide`: `firm` times that of singles would undo what resists along the surface
+                normals = normals @ normals @ (3.0 * ti.Matrix.identity(self.wide, self.dim) - 2.0 * normals)
                 stops += m * normals
                 mass += m
                 if ti.static(self.rubs):

@@ -96,6 +96,31 @@ def test_a_damped_body_that_bounces_in_a_hollow_gains_no_energy(restitution, fri
 
 
 @pytest.mark.slow
+def test_a_body_that_slides_in_a_hollow_gains_no_speed_in_single_precision_either():
+    """The directions in which one ball was held were rounded, and pushed the body along the surface."""
+    with simulate(slider((2.0, -0.5)), integrator="tr_bdf2", dt=0.004, substeps=1) as sim:
+        for velocity in ((2.0, -0.5), (0.3, -2.8)):
+            sim.reset(slider(velocity))
+            stored = [sim.energy()]
+            for _ in range(190):
+                sim.step()
+                stored.append(sim.energy())
+            assert np.diff([one.total for one in stored]).max() < 1e-4 * max(one.kinetic for one in stored)
+
+
+def slider(velocity):
+    """A damped body of jelly in a hollow disc with friction."""
+    scene = ts.Scene(dim=2, gravity=(0.0, -9.81))
+    scene.add_material("gel", restitution=0.3, friction=0.25)
+    scene.add_collider(ts.Sphere((0, 0), 0.6, hollow=0.1, material="gel"))
+    ts.shapes.jelly(
+        scene, (0.4, 0.2), (4, 3), density=400.0, young_modulus=2e4, poisson_ratio=0.3, damping=200.0, position=(-0.2, -0.1),
+        velocity=velocity, material="gel",
+    )  # fmt: skip
+    return scene
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "h", "friction"),
     [
