@@ -194,7 +194,7 @@ def allowance(walls: ti.template(), i, k, n, point, after, begin, settled, floor
 @ti.func
 def first_collider(walls: ti.template(), i, x, v, a, since, limit, begin, settled, floor, place):
     """Earliest of all colliders that ball i meets: its key (number times `faces`, and the face of a hollow box around the ball),
-    NOTHING, or UNKNOWN_WAY; and the time. Each face for itself: that on which a ball rolls is the nearest one
+    NOTHING, or UNKNOWN_WAY less the key; and the time. Each face for itself: that on which a ball rolls is the nearest one
     all the way, and hides the next."""
     hit = NOTHING
     time = limit
@@ -216,5 +216,6 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, begin, settle
                     )
                     if found != MISSES and t < time:
                         time = t
-                        hit = ti.select(found == MEETS, k * walls.colliders.faces + face, UNKNOWN_WAY)
+                        key = k * walls.colliders.faces + face
+                        hit = ti.select(found == MEETS, key, UNKNOWN_WAY - key)
     return hit, time

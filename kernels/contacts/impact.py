@@ -248,6 +248,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
         fast = shift.dot(shift) > walls.model.radius[i] ** 2
     rested, last = NOTHING, 0.0 * v  # the wall on which it came to rest just now; the normal of such a surface
     beyond, number = 0.0 * h, 0  # m, length of the path beyond the first bend; bends
+    body = -1  # number of the probe of what it met last, or -1
     begun = v  # the drift velocity with which the path begins, after what it bounces off where it starts
     spin = zero_scalar_in_2d(walls.model.dim)
     if ti.static(walls.plan.bends):
@@ -289,9 +290,12 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                 came, load = speed + t * pull, pull
                 speed = came
                 remaining -= t
-                body, rests, normal = -1, False, 0.0 * v
-                if other == UNKNOWN_WAY:  # it waits where it is
-                    remaining = 0.0
+                rests, normal = False, 0.0 * v
+                waits = other <= UNKNOWN_WAY  # where it is; the collider bears what forces do meanwhile
+                if waits:
+                    pull *= 0.0
+                    if ti.static(walls.has_colliders and walls.probed):
+                        body = walls.received.solid[(UNKNOWN_WAY - other) // walls.colliders.faces]
                 else:
                     surface_met, normal, own, material, body = met_surface(walls, i, hit, other, x + shift, since)
                     law = walls.law_of_material(i, material)
@@ -319,6 +323,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                         if ti.static(walls.probed):
                             walls.received.note(i)
                 touched = True
+                remaining = ti.select(waits, 0.0 * h, remaining)
             elif touched:
                 shift += remaining * (speed + 0.5 * remaining * pull)
                 beyond += ti.select(number > 0, (shift - start).norm(), 0.0 * h)
@@ -330,6 +335,8 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     if touched:
         if ti.static(walls.probed):
             record_pressed(walls, i, v)
+            # what it met last bears what forces do once it has met as much as it may
+            walls.received.add(i, body, -remaining / walls.model.inverse_mass[i] * pull)
         kick = 0.5 * h * pressed  # the second half
         if ti.static(walls.plan.reflects):
             if ti.static(walls.probed):

@@ -330,6 +330,55 @@ def test_what_impulse_probes_of_all_walls_sum_is_what_bodies_lost(damping, brick
     np.testing.assert_allclose(given, lost, atol=1e-11 if F64 else 1e-3)
 
 
+@pytest.mark.skipif(not F64, reason="a balance to rounding")
+@pytest.mark.parametrize("method", ["verlet", "tr_bdf2"])
+def test_probes_count_what_stops_a_ball_that_bounces_too_often_in_a_step(method):
+    """Springs press balls so hard that their bounces in one step take any part of it: the moves of some of them end early."""
+    e, h, mass, stiffness, gravity = 0.86, 0.003, 0.4, 1500.0, np.array([0.0, -4.0])
+    scene = ts.Scene(dim=2, gravity=gravity)
+    scene.add_material("hard", restitution=e, friction=0.15)
+    normal, offset, pull = np.array([-0.28, 0.96]), np.array([9.0, 9.0]), 300.0
+    turned = np.degrees(np.arctan2(0.28, 0.96))
+    scene.add_wall(normal, 0.0, "hard")
+    scene.add_collider(ts.Box(offset - 0.5 * normal, (40.0, 1.0), material="hard", rotation=turned))
+    scene.add_probe("wall", "impulse", wall=0)
+    scene.add_probe("box", "impulse", collider=0)
+    along = np.array([0.96, 0.28])
+    for foot in (np.zeros(2), offset):
+        for k, flight in enumerate(np.linspace(0.05, 0.25, 9)):  # of a step, after the first bounce
+            low = foot + (k - 4) * along + (R + 1e-9) * normal
+            fall = 0.5 * flight * h * pull / e
+            pair = scene.add_balls(
+                [low, low + 0.5 * normal], radius=R, mass=mass, velocity=0.6 * along - fall * normal, material="hard"
+            )
+            scene.add_springs([pair], stiffness=stiffness, rest_length=0.5 + pull * mass / stiffness)
+    lost = []
+    with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+        for _ in range(6):
+            sim.step()
+            given = scene.mass @ scene.velocity + scene.mass.sum() * sim.time * gravity
+            received = sim.snapshot().impulses
+            lost.append(given - scene.mass @ sim.velocity - received.sum(axis=0))
+    assert (np.linalg.norm(received, axis=1) > 1.0).all()
+    assert np.abs(lost).max() < 1e-12 * np.abs(received).max()
+
+
+@pytest.mark.skipif(not F64, reason="a balance to rounding")
+def test_probes_count_what_stops_a_ball_that_waits_on_a_long_way():
+    """It flies so far along a tube in a step, and so near to it, that its way is looked at in part."""
+    scene, h, speed, pull, mass = ts.Scene(dim=2, gravity=(45.0, 0.0)), 2e-3, 150.0, 45.0, 0.25
+    scene.add_balls([(-0.8, -0.1973)], radius=0.0025, mass=mass, velocity=(speed, 0.0))
+    scene.add_collider(ts.Capsule((-2.0, 0.0), (2.0, 0.0), 0.2, hollow=0.1))
+    scene.add_probe("tube", "impulse", collider=0)
+    with simulate(scene, dt=h, substeps=1) as sim:
+        sim.run(3 * h)
+        assert sim.position[0, 0] + 0.8 < 2.5 * h * speed  # it waited
+        lost = mass * (speed + pull * sim.time - sim.velocity[0, 0])
+        received = sim.snapshot().impulses[0]
+    assert lost > 0.1 * mass * pull * h
+    np.testing.assert_allclose(received, (lost, 0.0), atol=1e-14 * mass * speed)
+
+
 @pytest.mark.slow_where(dim=2)
 @each_dim
 def test_an_oblique_bounce_is_rubbed_by_coulombs_law(dim):
