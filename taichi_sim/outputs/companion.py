@@ -1,7 +1,6 @@
 """Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; of methods of
 order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -18,6 +17,7 @@ from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.quantities import measured, plain_number
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
+from taichi_sim.simulation.settling import settle_further
 
 __all__ = ["Companion", "StepError"]
 
@@ -29,7 +29,6 @@ RESOLVED = 0.3  # omega h, up to which methods of first order keep more than tha
 SLOW = ("position",)  # kinds of probes that fast motion along springs hardly moves
 LAST = 8  # part of the frames by which the error of the last is judged
 CLOSER = 0.1  # of the net force that settling left: what the second run is settled to
-AT_REST = 0.5  # of the same: with less, the difference to the second run tells most of what settling left
 
 
 class StepError(NamedTuple):
@@ -101,7 +100,7 @@ class Companion:
             begin("frames of the second run, at half the step")
             again, start = self._second(simulation)
             with again:
-                closer = self._settle_further(again)
+                closer = settle_further(again, self._settled, CLOSER)
                 if closer:
                     start = replace(start, position=again.position)
                 again.resume(start)
@@ -161,15 +160,6 @@ class Companion:
             found.append(again.probes())
             advance(index + 1, time - self._start.time)
         return _Run(again.position[free], again.energy().total, _by_name(found))
-
-    def _settle_further(self, again: Any) -> bool:
-        """Bring the second run closer to rest than the first began; False where nothing was settled, or rounding forbids it."""
-        left = self._settled
-        if left is None or not left.residual or not left.load:
-            return False
-        with warnings.catch_warnings(record=True):  # what stays too large is not included, and said so
-            warnings.simplefilter("always")
-            return bool(again.settle(CLOSER * left.residual / left.load).residual < AT_REST * left.residual)
 
     def _second(self, simulation: Any) -> tuple[Any, Any]:
         """The second run, at the start of the first, and that start."""

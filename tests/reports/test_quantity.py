@@ -7,14 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from physics_support import PRECISION
 from speed_support import RATE, STIFFNESS, MadeUp, length, pair, plan
 
 import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error import budget, command, report, resolution, tune
 from taichi_sim.reports.speed_error.compared import Compared
-from taichi_sim.reports.speed_error.plan import PARTS
-from taichi_sim.reports.speed_error.trial_process import Outcome
+from taichi_sim.reports.speed_error.plan import PARTS, fitting
+from taichi_sim.reports.speed_error.trial_process import Outcome, Track, Trial
 
 pytestmark = pytest.mark.once
 
@@ -119,16 +120,18 @@ def test_tune_finds_the_tension_to_one_percent(tmp_path):
     assert settings["integrator"] == "verlet"
 
 
-def test_methods_that_cannot_win_are_not_compiled(monkeypatch):
-    """RK4 goes through the forces four times in a step 1.4 times as long; implicit methods are for stiff scenes."""
+@pytest.mark.parametrize(("passes", "tried"), [(0.2, {"verlet"}), (0.4, {"rk4", "verlet", "implicit_euler"})])
+def test_methods_that_cannot_win_are_not_compiled(monkeypatch, passes, tried):
+    """RK4 goes through the forces four times in a step 1.4 times as long; of two balls a pass costs less than a step. So it is
+    left out where it makes more than three times the passes. passes: of each step, over the duration of 0.4 s."""
     scene = loaded()
     workers = MadeUp(scene)
     run = workers.run
-    workers.run = lambda precision, trial: run(precision, trial)._replace(passes=0.4 / trial.step.seconds)
+    workers.run = lambda precision, trial: run(precision, trial)._replace(passes=passes / trial.step.seconds)
     monkeypatch.setattr(tune, "TrialProcesses", lambda *_: workers)
     chosen = plan(quantity="load", tolerance=0.2, methods=("rk4", "verlet", "implicit_euler"))
     assert tune.main(scene, chosen, **NONE)["integrator"] == "verlet"
-    assert {trial.method for _, trial in workers.trials if trial.timed} == {"verlet"}
+    assert {trial.method for _, trial in workers.trials if trial.timed} == tried
 
 
 # The error of the mesh ---------------------------------------------------------------------------------------------
@@ -377,6 +380,43 @@ def test_the_error_at_the_scenes_own_settings_is_that_of_its_own_precision(tmp_p
     line = next(line for line in findings.about() if "own settings" in line)
     assert "in double precision" in line
     assert "single" not in line
+
+
+def test_what_settling_left_is_a_part_of_the_error(tmp_path, monkeypatch):
+    """Runs from where `settle` leaves the balls are off by twice that in MadeUp, at any step."""
+    scene, said = loaded(), []
+    monkeypatch.setattr(report, "TrialProcesses", lambda *_: MadeUp(scene))
+    monkeypatch.setattr(tune, "TrialProcesses", lambda *_: MadeUp(scene))
+    rest = scene.position + np.array([0.0, 0.0035])
+    found = report.main(scene, plan(rest=rest), tmp_path / "r", **NONE).budget
+    assert found.settling == pytest.approx(0.007)
+    assert "+- 7 mm (settling)" in next(found.lines())
+    assert not found.meshed
+    again = report.main(scene, plan(rest=rest), tmp_path / "r", **NONE).budget
+    assert again == found
+    tune.main(scene, plan(rest=rest, tolerance=0.05), progress=False, say=said.append)
+    off = re.search(r"\+- (\d+) mm \(step and settling\)", said[2])
+    assert int(off.group(1)) >= 7
+    assert "settling     7.00 mm, more than allowed; a smaller `settle` reduces it" in said[2]
+
+
+def test_settling_that_cannot_be_told_is_named(tmp_path, monkeypatch):
+    scene, said = loaded(), []
+    monkeypatch.setattr(report, "TrialProcesses", lambda *_: MadeUp(scene))
+    monkeypatch.setattr(tune, "TrialProcesses", lambda *_: MadeUp(scene))
+    unknown = plan(rest=scene.position[:0], tolerance=0.05)
+    assert "settling not known" in next(report.main(scene, unknown, tmp_path / "r", **NONE).budget.lines())
+    tune.main(scene, unknown, progress=False, say=said.append)
+    assert "not included: the net force that `settle` left at the start" in said[2]
+
+
+def test_a_short_run_is_not_left_out_for_what_its_first_call_costs():
+    """Its whole time is far below what a call takes, or compiling once more."""
+    track = Track(pair(), plan(), PRECISION)
+    outcome = track.run(Trial("rk4", fitting(0.4, 0.01), most=1e-4, timed=True))
+    track.sim.close()
+    assert not outcome.left_out
+    assert len(outcome.position) == PARTS
 
 
 def test_nothing_to_refine(tmp_path):

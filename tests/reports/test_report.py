@@ -104,8 +104,9 @@ def test_pages(made):
     made_of = "report.md report.html rows.csv rows.jsonl error.svg error.png reference.npz budget.npz report.json"
     assert names == set(made_of.split())
     page, text = (folder / "report.html").read_text(), (folder / "report.md").read_text()
-    value = r"[\d.]+ \+- [\d.]+ mm \(step\), .*mesh not known"
+    value = r"[\d.]+ \+- [\d.]+ mm \(step\), .*single precision"
     assert re.search(rf"Largest rms displacement at 8 sample times up to 0.4 s, with verlet .*: {value}", text)
+    assert "mesh" not in text  # two balls on a spring are none
     assert "<svg" in page
     assert not re.search(r"(src|href)=\"(http|/|\w+\.)", page)  # nothing is loaded from elsewhere
     assert "#010203" not in page
@@ -531,6 +532,7 @@ def test_few_of_many_equal_runs_are_named():
         "rk4 at 0.001 s in f64, xpbd at 0.001 s in f64, tr_bdf2 at 0.001 s in f64 and 6 more runs ("
     )
     assert equal(many[:2]).startswith("verlet at 0.0005 s in f64 (")
+    assert " and 1 more run (" in equal([*many[:2], many[2]])
 
 
 def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one():

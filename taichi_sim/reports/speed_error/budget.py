@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taichi_sim.analysis.outcome import has_mesh
 from taichi_sim.analysis.richardson import error_from
 from taichi_sim.common.quantities import EXACT, ROUNDED, measured, measures
 from taichi_sim.reports.speed_error.compared import worst
@@ -38,9 +39,10 @@ class Budget:
     order: float | None = None
     single: float | None = None
     why: str = ""  # the mesh's error is not known
-    meshed: bool = True  # springs or cells, whose mesh may be finer
+    meshed: bool = True  # a body stands for one, whose mesh may be finer
     precision: str = "f32"
     missed: float = 0.0  # by which a peak between the moments compared may be larger
+    settling: float | None = None  # of what `settle` leaves; None without it, infinite: not known
     given: float = 0.0  # s, the step that the scene would be run with; 0: this one
 
     def lines(self) -> Iterator[str]:
@@ -48,6 +50,8 @@ class Budget:
         parts = {"step": self.step, "mesh": self.mesh, "single precision": self.single}
         if not self.meshed:
             del parts["mesh"]
+        if self.settling is not None:
+            parts["settling"] = self.settling if np.isfinite(self.settling) else None
         double = self.precision == "f64"
         if double:
             del parts["single precision"]
@@ -73,7 +77,11 @@ class Budget:
         )
         if double and self.single is not None:
             yield f"Single precision, which the scene does not use, would add +- {measured(self.single, unit=self.unit)}."
-        if self.mesh is not None and self.step is not None and self.mesh > HIDING_MESH * self.step:
+        if (
+            self.mesh is not None
+            and self.step is not None
+            and self.mesh > HIDING_MESH * max(self.step, self.settling or 0.0)
+        ):
             yield (
                 "The error of the mesh is by far the largest: only a finer resolution reduces it. The fastest settings below"
                 " are for the motion of this mesh."
@@ -83,7 +91,7 @@ class Budget:
         elif self.order is not None:
             yield f"The error of the mesh falls with the order {self.order:.2f} of the spacing, as observed."
         elif self.mesh is None and self.meshed:
-            yield "The error of the mesh was not measured; --resolutions does that."
+            yield "The error of the mesh was not measured; --resolutions does that for a scene file."
 
 
 def made(
@@ -103,7 +111,7 @@ def made(
         value, name = float(np.max(reference.displacement[:parts])), f"motion of {compared.name}"
     elif compared.quantity is not None:
         value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
-    meshed = bool(trials.scene.n_springs or trials.scene.n_volumes())
+    meshed = trials.plan.resolutions or has_mesh(trials.scene)
     precision = trials.scene.settings.get("precision") or "f32"
     if "f32" not in trials.plan.precisions:  # nothing runs in it
         precision = "f64"
@@ -113,6 +121,7 @@ def made(
         meshed=meshed,
         precision=precision,
         missed=0.0 if compared.quantity is None else reference.missed,
+        settling=reference.settling,
         given=own_step(trials.scene, method)[1],
     )
 

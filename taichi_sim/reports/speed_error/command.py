@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common import validation
@@ -15,6 +16,8 @@ from taichi_sim.files.source import checked_output, demos, open_scene, resolve
 from taichi_sim.reports.speed_error.plan import METHODS, PARTS, PRECISIONS, Plan, duration_of, longest_duration
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import Settings
+
+CLOSER = 0.01  # of the net force that `settle` leaves: less than meshes differ by
 
 
 def read(
@@ -53,8 +56,9 @@ def read(
     if not scene.n_balls:
         raise SceneError(f"{file}: holds no ball; there is nothing to compare")
     checked_output(scene)
+    rest = None
     if scene.settings.get("settle"):
-        scene = settled_scene(scene)
+        scene, rest = settled_scene(scene)
     process = {"arch": arch, "threads": threads}
     given = {key: value for key, value in process.items() if value is not None}
     with scene.in_file(given):
@@ -71,7 +75,7 @@ def read(
             quantity_of(scene, quantity)
         except SceneError as error:
             raise SceneError(f"--quantity: {error}") from None
-    choices |= {"quantity": quantity, "resolutions": resolutions}
+    choices |= {"quantity": quantity, "resolutions": resolutions, "rest": rest}
     plan = Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
     longest = plan.duration / PARTS
     if plan.steps and max(plan.steps) > longest * (1.0 + 1e-5):
@@ -82,19 +86,27 @@ def read(
     return file, scene, plan
 
 
-def settled_scene(scene: Scene) -> Scene:
-    """The scene as it is where it has come to rest, which every method and step starts from: in double precision, as the
-    reference is, or in the one that the process runs already."""
+def settled_scene(scene: Scene) -> tuple[Scene, NDArray[np.float64]]:
+    """The scene where it has come to rest, settled further to CLOSER of what `settle` leaves, and `Plan.rest`.
+
+    Every method and step starts from there: in double precision, as the reference is, or in the one that the process runs
+    already."""
     from taichi_sim.device import backend
+    from taichi_sim.simulation.settling import settle_further
     from taichi_sim.simulation.simulation import Simulation
 
     precision = "f64" if backend.running() is None else None
     with Simulation(scene, precision=precision, arch=None, threads=None) as simulation:
-        position = simulation.position
+        rest = position = simulation.position
+        left = simulation.settled
+        if settle_further(simulation, left, CLOSER):
+            position = simulation.position
+        elif left is not None and left.residual:
+            rest = rest[:0]
     made = copy(scene)
     made.settings = {key: value for key, value in scene.settings.items() if key != "settle"}
     made.set_balls(position=position, velocity=np.zeros_like(position))
-    return made
+    return made, rest
 
 
 def require_own_file(name: str, file: Path) -> None:

@@ -237,4 +237,5 @@ def equal(rows: list[Row]) -> str:
     others = [row for row in best.values() if row is not rows[0]][:MOST_NAMED] or rows[1:2]
     more = len(rows) - 1 - len(others)
     within = f"times within {100.0 * (SAME_TIME - 1.0):.0f} % are taken as equal"
-    return f"{', '.join(map(named, others))}{f' and {more} more runs' if more else ''} ({within})"
+    rest = f" and {more} more run{'s' if more > 1 else ''}" if more else ""
+    return f"{', '.join(map(named, others))}{rest} ({within})"

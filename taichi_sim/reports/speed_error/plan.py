@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taichi_sim.analysis.methods import VERLET, named
 from taichi_sim.analysis.stability import stability
@@ -29,7 +30,8 @@ NICE = (5.0, 2.5, 2.0, 1.0)
 class Plan:
     """Settings of a report. duration [s]; steps [s], or None for halvings that are chosen by method; tolerance: a part of
     the motion, see `Compared`; most: wall seconds that one run may take. quantity: the name of one, or None for positions.
-    resolutions: find the error of the mesh, too."""
+    resolutions: find the error of the mesh, too. rest: positions (n, dim) [m] in which the scene's own `settle` leaves the balls,
+    None without it, empty where the effect of what it leaves cannot be told."""
 
     name: str
     duration: float
@@ -42,6 +44,7 @@ class Plan:
     resolutions: bool = False
     arch: str | None = None
     threads: int | None = None
+    rest: NDArray[np.float64] | None = None
 
 
 class Step(NamedTuple):

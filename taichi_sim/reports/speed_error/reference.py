@@ -5,14 +5,14 @@ from converging. The difference of the two is published: the finer one is at lea
 away; when it has parted by a thousandth of the size, pointwise errors say nothing any more, of any method.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.between_samples import beyond
 from taichi_sim.analysis.methods import RK4
-from taichi_sim.reports.speed_error.compared import rms
+from taichi_sim.reports.speed_error.compared import rms, worst
 from taichi_sim.reports.speed_error.plan import FRAME, PARTS, WORK, Step, fitting, halved, limit, own_step
 from taichi_sim.reports.speed_error.trial_process import Outcome
 from taichi_sim.reports.speed_error.trials import Trials
@@ -53,6 +53,8 @@ class Reference:
     contacts: int = 0  # the most that were seen
     touch: bool = False  # whether contacts can act, whether at a moment that was sampled or not
     why: str = ""  # there is none
+    # effect of what `settle` leaves, as `difference`, at the worst moment; None without it, infinite: not known
+    settling: float | None = None
 
     @property
     def parts(self) -> int:
@@ -105,6 +107,19 @@ def _largest(energy: Floats) -> float:
 def make(trials: Trials, enough: float | None = None) -> Reference:
     """Run what the reference needs in double precision. enough: part of the motion to which it must be known; then the scene's
     own method is tried first, which is compiled anyway."""
+    reference, rest = _make(trials, enough), trials.plan.rest
+    if rest is None or not reference.parts:
+        return reference
+    off = np.inf
+    if len(rest):
+        step = fitting(trials.plan.duration, reference.step)
+        outcome = trials.run("f64", reference.method, step, start=rest)
+        if len(outcome.position) == PARTS:
+            off = worst(trials.compared.errors(outcome, reference)[: reference.parts])
+    return replace(reference, settling=off)
+
+
+def _make(trials: Trials, enough: float | None) -> Reference:
     own, step = own_step(trials.scene)
     if enough is not None and own != REFERENCE:
         quick = _by(trials, own, step / 4.0, enough, QUICK * WORK)

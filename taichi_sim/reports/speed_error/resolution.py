@@ -75,7 +75,7 @@ def finer(file: Path, levels: int = LEVELS, parameters: Mapping[str, Any] | None
         scene = _read(file, document)[0]
         balls = level.everywhere if balls is None else level.everywhere[balls]
         overlap = further_overlap(given, scene)
-        found.append(Finer(settled_scene(scene) if scene.settings.get("settle") else scene, balls, overlap))
+        found.append(Finer(settled_scene(scene)[0] if scene.settings.get("settle") else scene, balls, overlap))
     return found
 
 

@@ -33,7 +33,7 @@ from taichi_sim.simulation.settings import Settings, part_of_bound
 
 MORE_HALVINGS = 6  # than a report makes
 WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
-LIKELY_TIME = 1.5  # times that of the best that may still win: passes over the forces are not all alike
+LIKELY_PASSES = 3.0  # times those that the best has time for that may still win: passes are not all alike
 BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
 SPARE_TIME = 1.25  # times that of the best so far that a run may take, for noise
 
@@ -92,9 +92,14 @@ def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, t
     if reference.missed > off:
         peak = measured(reference.motion, reference.missed, unit, "between sample times")
         yield f"{'peak':12} {peak}; `taichi-sim run --error` reads it at every frame"
-    value = measured(reference.motion, off, unit, "step")
+    settling = reference.settling or 0.0
+    known = settling if np.isfinite(settling) else 0.0
+    value = measured(reference.motion, off + known, unit, "step and settling" if known else "step")
     yield f"{'value':12} {compared.size_in_words(reference.parts)}: {value}"
-    if errors := list(left_out(scene)):
+    errors = list(left_out(scene))
+    if settling != known:
+        errors.append("the net force that `settle` left at the start")
+    if errors:
         yield not_included(errors)
     yield f"{'allowed':12} {measured(tolerance * reference.motion, unit=unit)}, {percent(tolerance)} of the value"
     found = f"{measured(off, unit=unit)}, {percent(row.relative_error or 0.0)} of the value"
@@ -102,6 +107,9 @@ def _outcome(scene: Scene, compared: Compared, reference: Reference, row: Row, t
         found = "0, exact to rounding"
     yield f"{'found':12} {found}, the largest of {reference.parts} sample times"
     yield f"{'':12} not seen: errors between these times"
+    if known:
+        much = ", more than allowed" if known > tolerance * reference.motion else ""
+        yield f"{'settling':12} {measured(known, unit=unit)}{much}; a smaller `settle` reduces it"
     yield f"{'cost':12} {row.seconds:.3g} s of {row.clock}, {row.passes or 0.0:.4g} passes over the forces, per simulated second"
 
 
@@ -178,9 +186,9 @@ def _cannot_win(trials: Trials, method: str, good: list[Row]) -> str:
         return "has no step that is safe in the long run"
     best = min(row.seconds or 0.0 for row in good)
     each = min(((row.seconds or 0.0) / row.passes for row in good if row.passes), default=0.0)
-    if passes * each <= LIKELY_TIME * best:
+    if passes * each <= LIKELY_PASSES * best:
         return ""
-    return f"takes {passes * each / best:.2g} times as long even at its longest step"
+    return f"makes {passes * each / best:.2g} times as many passes as the best has time for, even at its longest step"
 
 
 def _longest(
