@@ -1,6 +1,8 @@
 """Objects and arguments that do not fit are refused before anything is compiled, in one sentence that names the place and what is
 allowed, and leave the scene as it was."""
 
+import inspect
+import itertools
 import pickle
 import re
 
@@ -169,6 +171,31 @@ def test_shapes_are_added_whole_or_not_at_all(add, message):
     assert_unchanged(scene, add, f"^{re.escape(message)}")
     assert ts.shapes.cloth(scene, resolution=(2, 2)).balls.tolist() == [3, 4, 5, 6]
     assert scene.body.tolist() == [0, 0, 0, 1, 1, 1, 1]  # no number of a body was used up
+
+
+ADDED = {  # arguments with which each is added to eight balls at the corners of a box
+    "add_balls": {"position": [[5.0, 5.0, 5.0]], "radius": 0.1},
+    "add_springs": {"pairs": [[0, 1]], "stiffness": 3.0},
+    "attach": {"one": [0], "other": [1], "stiffness": 3.0},
+    "add_membranes": {"corners": [[0, 1, 2]], "warp": 3.0},
+    "add_cells": {"corners": [[0, 1, 2, 4]], "bulk_modulus": 3.0},
+    "add_bending": {"corners": [[1, 1, 0, 3]], "weights": [[-1, -1, 1, 1]], "stiffness": 3.0},
+    "add_bricks": {"corners": [range(8)], "young_modulus": 3.0, "poisson_ratio": 0.3},
+    "add_solids": {"corners": [[0, 1, 2, 4]], "young_modulus": 3.0, "poisson_ratio": 0.3},
+    "add_wind": {"velocity": (1.0, 0.0, 0.0)},
+}
+
+
+@pytest.mark.parametrize("method", ADDED)
+def test_none_is_refused_where_it_is_not_the_default(method):
+    scene = ts.Scene(dim=3)
+    for _ in range(2):  # the table of balls has room for more
+        scene.add_balls(list(itertools.product((0.0, 2.0), repeat=3)), radius=0.1)
+    add = getattr(ts.Scene, method)
+    for name, argument in inspect.signature(add).parameters.items():
+        if name != "self" and argument.default is not None:
+            assert_unchanged(scene, lambda s, n=name: add(s, **{**ADDED[method], n: None}), rf"^\w+\.{name}: \[?None")
+    add(scene, **ADDED[method])
 
 
 class _Fails(ts.Scene):

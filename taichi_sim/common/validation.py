@@ -22,6 +22,7 @@ __all__ = [
     "colours",
     "direction",
     "flags",
+    "given",
     "indices",
     "many",
     "name",
@@ -161,9 +162,14 @@ def per_item(
     return np.broadcast_to(array, (n,)).astype(np.float64)
 
 
-def amounts(table: str, n: int, **given: ArrayLike | None) -> dict[str, NDArray[np.float64]]:
-    """Columns of n rows of a table, by name: numbers of at least 0, one or one per row, of what is given. SceneError."""
-    return {name: per_item(f"{table}.{name}", one, n, low=0) for name, one in given.items() if one is not None}
+def amounts(table: str, n: int, **values: ArrayLike) -> dict[str, NDArray[np.float64]]:
+    """Columns of n rows of a table, by name: numbers of at least 0, one or one per row. Raises SceneError."""
+    return {name: per_item(f"{table}.{name}", value, n, low=0) for name, value in values.items()}
+
+
+def given(**optional: Any) -> dict[str, Any]:
+    """Those of optional arguments that are not None, by name."""
+    return {name: value for name, value in optional.items() if value is not None}
 
 
 def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:

@@ -74,7 +74,7 @@ class BallMethods:
         body = validation.whole("balls.body", body, 0, MOST_BODY)
         held = chosen("balls.pinned", pinned, x)
         rest = isinstance(velocity, (int, float)) and velocity == 0
-        columns = self._ball_columns(n, velocity=None if rest else velocity, mass=mass, radius=radius)
+        columns = self._ball_columns(n, mass=mass, radius=radius, **({} if rest else {"velocity": velocity}))
         v = columns.setdefault("velocity", np.zeros_like(x))
         v[held] = 0.0
         tint = np.full(3, np.nan) if colour is None else validation.colour("balls.colour", colour)
@@ -86,13 +86,13 @@ class BallMethods:
         self._bodies = max(self._bodies, body)
         return self.tables["balls"].append(n, **columns)  # type: ignore[no-any-return]
 
-    def _ball_columns(self: Any, n: int, **given: ArrayLike | None) -> dict[str, NDArray]:
-        """Columns of n balls by name: those of vectors and numbers that are given. Raises SceneError."""
+    def _ball_columns(self: Any, n: int, **values: ArrayLike) -> dict[str, NDArray]:
+        """Columns of n balls by name, of vectors and positive numbers. Raises SceneError."""
         found: dict[str, NDArray] = {}
-        for name, value in given.items():
-            if value is not None and name in ("position", "velocity"):
+        for name, value in values.items():
+            if name in ("position", "velocity"):
                 found[name] = validation.vectors(f"balls.{name}", value, n, self.dim)
-            elif value is not None:
+            else:
                 found[name] = validation.per_item(f"balls.{name}", value, n, positive=True)
         return found
 
@@ -156,7 +156,8 @@ class BallMethods:
         """
         index = validation.rows("balls", balls, self.n_balls)
         k = len(index)
-        new = self._ball_columns(k, position=position, velocity=velocity, mass=mass, radius=radius)
+        given = validation.given(position=position, velocity=velocity, mass=mass, radius=radius)
+        new = self._ball_columns(k, **given)
         if material is not None:
             names = [material] * k if isinstance(material, str) else list(material)
             if len(names) != k:

@@ -79,7 +79,7 @@ class BendingMethods:
 
     def set_bending(self: Any, *, stiffness: ArrayLike | None = None, damping: ArrayLike | None = None) -> None:
         """Change all b bending elements: stiffness [N/m], damping [N s/m], one or one per element; what is left None stays."""
-        new = validation.amounts("bending", len(self.bends), stiffness=stiffness, damping=damping)
+        new = validation.amounts("bending", len(self.bends), **validation.given(stiffness=stiffness, damping=damping))
         self.tables["bending"].replace(slice(None), **new)
 
 

@@ -67,7 +67,8 @@ class MembraneMethods:
         has_area = np.linalg.det(edges) > FLAT * np.sum(edges**2, axis=(1, 2))
         says = "has no area at rest, or its corners at rest are not in counter-clockwise order"
         validation.require("membranes.corners", ij, has_area, says=says)
-        columns = validation.amounts("membranes", t, warp=warp, weft=weft, shear=shear, damping=damping)
+        optional = validation.given(weft=weft, shear=shear)
+        columns = validation.amounts("membranes", t, warp=warp, damping=damping, **optional)
         one, both = columns["warp"], validation.per_item("membranes.coupling", coupling, t)
         other = columns.setdefault("weft", one)
         require_coupling("membranes.coupling", both, one, other)

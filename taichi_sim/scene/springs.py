@@ -53,9 +53,10 @@ class SpringMethods:
         m = len(ij)
         says = "joins a ball to itself; give two different balls"
         validation.require("springs.pairs", ij, ij[:, 0] != ij[:, 1], says=says)
+        optional = validation.given(rest_length=rest_length)
         columns: dict[str, NDArray] = {
             "pairs": ij,
-            **validation.amounts("springs", m, stiffness=stiffness, damping=damping, rest_length=rest_length),
+            **validation.amounts("springs", m, stiffness=stiffness, damping=damping, **optional),
             "collides": validation.flags("springs.collides", collides, m),
             "break_strain": validation.strains("springs.break_strain", break_strain, m),
         }
@@ -112,7 +113,8 @@ class SpringMethods:
         """
         index = validation.rows("springs", springs, self.n_springs)
         k = len(index)
-        new = validation.amounts("springs", k, stiffness=stiffness, damping=damping, rest_length=rest_length)
+        given = validation.given(stiffness=stiffness, damping=damping, rest_length=rest_length)
+        new = validation.amounts("springs", k, **given)
         if break_strain is not None:
             new["break_strain"] = validation.strains("springs.break_strain", break_strain, k)
         _may_tear(
