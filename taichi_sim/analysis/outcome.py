@@ -18,6 +18,7 @@ __all__ = [
     "STARTS_DEEP",
     "Scales",
     "cure_of_depth",
+    "gained_in_step",
     "has_mesh",
     "left_out",
     "not_included",
@@ -51,8 +52,8 @@ class Scales(NamedTuple):
     that part at the start or the end, whichever is larger. squeezes: colliders or pins move. damps: the name of a method that
     takes energy itself. gains: why the method may give energy, in words; cure: of that. held [J]: the largest kinetic
     and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
-    above the start. touches: there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the
-    start."""
+    above the start; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy. touches:
+    there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the start."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -69,6 +70,7 @@ class Scales(NamedTuple):
     cure: str = SHORTER
     held: float = 0.0
     risen: float = 0.0
+    gained: float = 0.0
 
 
 def untouched(names: Sequence[str]) -> tuple[str, ...]:
@@ -152,6 +154,11 @@ def of_cells(now: int, most: int, cells: int) -> str:
     if now:
         return "wrong; the body is crushed: make it stiffer, give it a larger poisson_ratio, or take shorter steps"
     return "look at it; the body was crushed for a moment and recovered" if most > FEW_CELLS * cells else "good"
+
+
+def gained_in_step(part: float) -> str:
+    """Words on the energy that a step gave, in parts of the largest kinetic energy."""
+    return f"gained {_times(part)} the largest kinetic energy in one step, which nothing explains: {SHORTER}"
 
 
 def of_energy(start: float, end: float, scales: Scales) -> str:

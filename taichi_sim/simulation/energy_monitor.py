@@ -36,6 +36,7 @@ MOST_RISE = 0.1  # of the energy in motion that the start explains, by methods t
 LEAST_GROWTH = 0.01  # of the largest kinetic plus elastic energy so far
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
+STEP_GROWTH = 0.005  # of the largest kinetic energy so far, by one step of a method that only loses
 WORK_GROWTH = 100.0  # times what a driven scene had before: the bound is asked then
 DIGITS = 64.0  # units of rounding that sums and positions may differ by
 CANCELLED = 4.0  # the same, of terms that cancel at rest
@@ -125,6 +126,12 @@ class EnergyMonitor:
         if gain > LEAST_GROWTH * max(self.most, most) and sample.motion > self.limit * (sample.motion - gain):
             return Growth(self.least, sample.total, True)
         return None
+
+    def gain_of_step(self, before: Any, after: Any, kinetic: float) -> float:
+        """Energy that one step gave, in parts of a kinetic energy [J]; 0 where it may be rounding, what overlap held, or little:
+        contacts may lift balls by their radius."""
+        gain = after.total - before.total - self.lift - self._rounding(before) - self._rounding(after)
+        return gain / kinetic if gain > STEP_GROWTH * kinetic else 0.0
 
     def _rounding(self, sample: Any) -> float:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""

@@ -7,7 +7,7 @@ from weakref import proxy
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, takers
+from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, gained_in_step, takers
 from taichi_sim.analysis.stability import explicit_parts, present_limit
 from taichi_sim.analysis.strikes import unanswered
 from taichi_sim.analysis.touching import overlap, overlap_at_start
@@ -46,6 +46,7 @@ class RunChecks:
         self._rush = RUSH * float(scene.radius.min()) if parts.plan.pairs else np.inf  # m a substep
         self._single = parts.backend.precision == "f32"
         self._solves = parts.integrator.solver_report() is not None
+        self.watches_steps = self._solves and not self.drivers  # each of them, see EnergyMonitor.gain_of_step
         # beyond the bound for every shape the present one decides; where nothing is safe that was said at the start
         is_bounded = scene.n_balls + scene.n_springs <= MOST_BOUNDED
         self._strays = is_bounded and self.part_of_bound > 1.0 + 1e-9
@@ -88,6 +89,7 @@ class RunChecks:
             cure=cure,
             held=run.monitor.held,
             risen=run.monitor.risen,
+            gained=run.gained,
             touches=touches,
         )
 
@@ -96,6 +98,7 @@ class RunChecks:
     def after(self, substeps: int) -> None:
         """Check the run after so many substeps."""
         self._check_solver()
+        self._check_steps()
         if self._strays and self._looks % LOOKS_PER_BOUND == 0:
             self._check_bound()
         self._looks += 1
@@ -145,6 +148,14 @@ class RunChecks:
                 "solver",
                 f"{self.run.method} left {found.worst:.2g} of the impulses of a stage unsolved by t = {self.run.time:.6g} s,"
                 f" more than ten times its tolerance of {found.tolerance:g}: take shorter steps{single}",
+            )
+
+    def _check_steps(self) -> None:
+        """Warn if a step of an implicit method has gained energy."""
+        if self.run.gained:
+            self.warn(
+                "gain",
+                f"by t = {self.run.time:.6g} s {self.run.method} {gained_in_step(self.run.gained)}",
             )
 
     def _check_bound(self) -> None:

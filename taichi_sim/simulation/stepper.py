@@ -38,7 +38,9 @@ class Stepper:
     tolerance is asked for, ErrorControl.
 
     steps: made since `begin` [s]. mark: what is kept is of that step; end: of the chunk. remembers: whether a method's own memory
-    belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls.
+    belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls. kinetic:
+    the largest kinetic energy [J] of all looks; gained: the most that a substep of an implicit method has gained, in parts of
+    that; gained_before: the same, when the chunk began.
     """
 
     saved: tuple[str, ...] = (
@@ -52,6 +54,9 @@ class Stepper:
         "moved",
         "remembers",
         "largest_motion",
+        "kinetic",
+        "gained",
+        "gained_before",
     )
 
     def __init__(
@@ -69,6 +74,7 @@ class Stepper:
         self.moved = False  # by steps, since places were set
         # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
         self.largest_motion = 0.0
+        self.kinetic = self.gained = self.gained_before = 0.0
         parts.moments.h[LIVE] = self.h
         self.checks, self.retry = RunChecks(self), Retry(self)
         self.policy: Retry | ErrorControl = self.retry if settings.tolerance is None else ErrorControl(self)
@@ -136,6 +142,7 @@ class Stepper:
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.start_at(sample)
         self.largest_motion, self.checks.fastest = sample.motion, sample.speed
+        self.kinetic, self.gained, self.gained_before = sample.kinetic, 0.0, 0.0
         self.primed, self.moved = True, False
         self.policy.start()
 
@@ -155,6 +162,7 @@ class Stepper:
     def new_chunk(self) -> None:
         """Let a chunk begin with this step, anew from what is kept."""
         self._begun = False
+        self.gained_before = self.gained
         self.end = self.steps + max(1, self.chunk // self.substeps)
 
     def start(self) -> None:
@@ -200,14 +208,28 @@ class Stepper:
         return self.parts.state_probe.sample()
 
     def _launch(self, target: int) -> None:
-        first = (self.steps - self.mark) * self.substeps
+        first, substeps = (self.steps - self.mark) * self.substeps, (target - self.steps) * self.substeps
         self.halfway = True
-        self.parts.run(first, (target - self.steps) * self.substeps, self.h, self.marked)
+        if self.checks.watches_steps:
+            self._launch_each(first, substeps)
+        else:
+            self.parts.run(first, substeps, self.h, self.marked)
         self.steps, self.halfway = target, False
+
+    def _launch_each(self, first: int, substeps: int) -> None:
+        """Run substeps one at a time, and look at what each gains."""
+        before = self.parts.state_probe.sample()
+        for number in range(first, first + substeps):
+            self.parts.run(number, 1, self.h, self.marked)
+            after = self.parts.state_probe.sample()
+            self.kinetic = max(self.kinetic, after.kinetic)
+            self.gained = max(self.gained, self.monitor.gain_of_step(before, after, self.kinetic))
+            before = after
 
     def divide(self, substeps: int) -> None:
         """Take so many substeps from now on, from what is kept."""
         self.substeps = substeps
+        self.gained = self.gained_before
         self.parts.set_step(self.h, holds=False)
         self.go_back()
 
