@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from taichi_sim.forces.element import Element
     from taichi_sim.forces.pointer import Pointer
     from taichi_sim.integrators import Integrator
-    from taichi_sim.outputs import Output, export, open_output
+    from taichi_sim.outputs import Output, open_output
+    from taichi_sim.outputs.export import export
     from taichi_sim.outputs.quick import picture, video
     from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
     from taichi_sim.scene.scene import Scene
