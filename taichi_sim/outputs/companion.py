@@ -1,6 +1,7 @@
 """Companion: a second run at half the step and with other rounding, by which the errors of both are estimated; of methods of
 order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -17,9 +18,8 @@ from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.quantities import measured, plain_number
 from taichi_sim.scene.other_rounding import other_neighbour, rounded_otherwise
-from taichi_sim.simulation.settling import settle_further
 
-__all__ = ["Companion", "StepError"]
+__all__ = ["Companion", "StepError", "settle_further"]
 
 ROUNDING = {"f32": 2.0**-24, "f64": 2.0**-53}  # of a number of its size
 CERTAIN = 8.0  # times the rounding of a number: differences above that are not of rounding alone
@@ -29,6 +29,7 @@ RESOLVED = 0.3  # omega h, up to which methods of first order keep more than tha
 SLOW = ("position",)  # kinds of probes that fast motion along springs hardly moves
 LAST = 8  # part of the frames by which the error of the last is judged
 CLOSER = 0.1  # of the net force that settling left: what the second run is settled to
+AT_REST = 0.5  # of the same: with less, the difference to what is settled further tells most of what settling left
 
 
 class StepError(NamedTuple):
@@ -64,6 +65,16 @@ class _Run(NamedTuple):
     place: NDArray
     energy: float
     probes: dict[str, list[float]]
+
+
+def settle_further(simulation: Any, left: Any, share: float) -> bool:
+    """Bring a simulation to rest to a share of the net force that an earlier settling left. False where there was none, it left
+    nothing, or rounding forbids less."""
+    if left is None or not left.residual or not left.load:
+        return False
+    with warnings.catch_warnings(record=True):  # what stays too large is not included, and said so
+        warnings.simplefilter("always")
+        return bool(simulation.settle(share * left.residual / left.load).residual < AT_REST * left.residual)
 
 
 class Companion:

@@ -5,7 +5,6 @@ the velocities are set to 0 and it begins again, until what is left of the force
 is added, so the state of rest is that of the scene itself.
 """
 
-import warnings
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -18,13 +17,12 @@ from taichi_sim.common.warn import warn
 from taichi_sim.files.checkpoint import parts_of, scene_of
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["Settled", "settle", "settle_further", "still"]
+__all__ = ["Settled", "settle", "still"]
 
 LOOKS = 16  # at the kinetic energy, on the way to a peak
 MOST_STOPS = 2000
 PATIENCE = 60  # stops, after which a residual that has not fallen by BETTER is that of rounding
 BETTER = 0.9
-AT_REST = 0.5  # of what settling left: with less, the difference to a scene settled further tells most of its effect
 
 
 class Settled(NamedTuple):
@@ -111,16 +109,6 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
         cure = '; single precision may be what stands in the way: try precision = "f64"' if rounded else ""
         warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}")
     return at_rest, found
-
-
-def settle_further(simulation: Any, left: Settled | None, share: float) -> bool:
-    """Bring a simulation to rest to a share of the net force that an earlier settling left. False where there was none, it left
-    nothing, or rounding forbids less."""
-    if left is None or not left.residual or not left.load:
-        return False
-    with warnings.catch_warnings(record=True):  # what stays too large is not included, and said so
-        warnings.simplefilter("always")
-        return bool(simulation.settle(share * left.residual / left.load).residual < AT_REST * left.residual)
 
 
 def _to_the_peak(

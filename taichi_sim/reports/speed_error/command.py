@@ -92,7 +92,7 @@ def settled_scene(scene: Scene) -> tuple[Scene, NDArray[np.float64]]:
     Every method and step starts from there: in double precision, as the reference is, or in the one that the process runs
     already."""
     from taichi_sim.device import backend
-    from taichi_sim.simulation.settling import settle_further
+    from taichi_sim.outputs.companion import settle_further
     from taichi_sim.simulation.simulation import Simulation
 
     precision = "f64" if backend.running() is None else None
