@@ -41,7 +41,6 @@ def save_state(simulation: Any, path: str | PathLike[str]) -> None:
     snapshot = simulation.snapshot()
     about, arrays = parts_of(scene)
     about |= {"settings": settings, "time": snapshot.time, "stepping": snapshot.stepping}
-    about["settled"] = simulation.settled
     arrays = snapshot.arrays() | arrays
     about = plain(about)
     about["digest"] = digest(about, arrays)
@@ -90,7 +89,7 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
     try:
         scene = scene_of(about, arrays)
         snapshot = Snapshot.of_file(arrays, about["time"], about.get("stepping", {})).checked(scene)
-        settings, settled = dict(about["settings"]), about.get("settled")
+        settings = dict(about["settings"])
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, RecursionError) as error:
         raise SceneError((), says=f"is not a state that Simulation.save wrote ({error})", file=path) from None
     # lists of contacts name balls and places of each other: what kernels follow is never taken from a stranger
@@ -101,12 +100,12 @@ def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, 
             " find the load that they carry anew"
         )
     if edited or {"dt", "tolerance", "substeps", "integrator"} & set(overrides):
-        snapshot = replace(snapshot, stepping={}, memory={})
+        settled = {} if edited else {"settled": snapshot.stepping.get("settled")}
+        snapshot = replace(snapshot, stepping=settled, memory={})
     simulation = None
     try:
         simulation = kind(scene, **{**settings, **overrides})
         simulation.resume(snapshot)
-        simulation.recall_settled(settled)
     except BaseException as error:
         if simulation is not None:
             simulation.close()

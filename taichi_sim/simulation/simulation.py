@@ -234,8 +234,8 @@ class Simulation(Reader):
         Args: tolerance: the largest net force that may be left on a ball, as a part of the mean weight of a ball (without
             gravity, of the largest net force at the start). longest: simulated seconds on the way; then it warns and stops.
 
-        Returns what is left, which `settled` keeps. Raises UnstableError, and SceneError where something is driven after the
-        start.
+        Returns what is left, which `settled` keeps until positions or velocities are set. Raises UnstableError, and SceneError
+        where something is driven after the start.
         """
         with about("tolerance"):
             tolerance = require_tolerance(tolerance) or validation.number("tolerance", tolerance, positive=True)
@@ -249,18 +249,15 @@ class Simulation(Reader):
         given = {**self._given, "settle": None, "integrator": "symplectic_euler", "tolerance": None}
         with type(self)(held, forces=self._forces, **{**given, "dt": "auto", "substeps": 1}) as other:
             other.resume(Snapshot(self.position, np.zeros_like(self.position)))
-            position, self.settled = settle(other, tolerance, longest)
+            position, found = settle(other, tolerance, longest)
         if not self._still:
             self._state.write_spin(np.zeros_like(self._state.surface_speed))
             if self.parts.received is not None:
                 self.parts.received.set(None)
         self._write(position, np.zeros_like(position))
+        self.settled = found
         self._begin_readings()
-        return self.settled
-
-    def recall_settled(self, plain: Any) -> None:
-        """Take what `settled` was when this was saved, as `Settled.of` does."""
-        self.settled = Settled.of(plain)
+        return found
 
     # Looking at it -------------------------------------------------------------------------------------------------
 
@@ -463,18 +460,21 @@ class Simulation(Reader):
         """All that it goes on from, at the present time."""
         assert self.parts is not None  # not closed
         found = self._stepper.snapshot()
-        return replace(found, stepping={**found.stepping, "readings": self.readings.memory()})
+        return replace(found, stepping={**found.stepping, "readings": self.readings.memory(), "settled": self.settled})
 
     def resume(self, snapshot: Snapshot) -> None:
-        """Continue from a snapshot of this scene. Raises SceneError for what does not fit."""
+        """Continue from a snapshot of this scene; `settled` is that of its time. Raises SceneError for what does not fit."""
         if not isinstance(snapshot, Snapshot):
             raise SceneError("snapshot", snapshot, "a ts.Snapshot")
         assert self.parts is not None  # not closed
+        settled = Settled.of(snapshot.stepping.get("settled"))
         self._stepper.resume(snapshot.checked(self.scene))
+        self.settled = settled
         self._begin_readings()
         self.readings.recall(snapshot.stepping.get("readings"))
 
     def _write(self, x: NDArray, v: NDArray, *, moved: bool = False) -> None:
+        self.settled = None  # not at rest any more
         if not self._still:
             self._state.write(x, v)
             if moved:

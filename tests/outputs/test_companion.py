@@ -84,6 +84,31 @@ def test_the_uncertainty_holds_what_settling_left(left, integrator):
     assert "left at the start" not in said
 
 
+@pytest.mark.parametrize("how", ["position", "velocity", "impulse", "resume"])
+def test_what_is_moved_after_settling_stays_moved_in_the_second_run(how):
+    """A cable plucked at rest: the second run, which is to settle further, would start without the pluck."""
+    scene = ts.Scene(dim=2, gravity=(0, -G))
+    ts.shapes.rope(scene, (0, 0), (1.7, 0.2), 5, length=1.9, EA=900.0, pinned="ends")
+    scene.add_probe("middle", "position", balls=[2])
+    moved = np.where(np.arange(5)[:, None] == 2, (0.02, 0.04), 0.0)
+    with ts.Simulation(scene, dt=2e-4, contacts="off", settle=0.05) as sim:
+        rest = sim.snapshot()
+        if how == "position":
+            sim.set_position(sim.position + moved)
+        elif how == "velocity":
+            sim.set_velocity(20.0 * moved)
+        elif how == "impulse":
+            sim.apply_impulse([2], scene.mass[2] * 20.0 * moved[2])
+        else:
+            sim.resume(ts.Snapshot(sim.position + moved, sim.velocity))
+        assert sim.settled is None
+        summary = export(sim, None, fps=50, duration=0.1, error=True)
+        assert summary.step_error.largest < 1e-3
+        assert not summary.step_error.settled
+        sim.resume(rest)
+        assert sim.settled is not None
+
+
 @pytest.mark.filterwarnings("ignore:settle. not at rest")
 def test_what_settling_left_is_named_where_rounding_hides_its_effect():
     with ts.Simulation(weights(), dt=1e-3, contacts="off", settle=1e-17) as sim:
