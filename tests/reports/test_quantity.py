@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -398,6 +399,17 @@ def test_what_settling_left_is_a_part_of_the_error(tmp_path, monkeypatch):
     off = re.search(r"\+- (\d+) mm \(step and settling\)", said[2])
     assert int(off.group(1)) >= 7
     assert "settling     7.00 mm, more than allowed; a smaller `settle` reduces it" in said[2]
+
+
+@pytest.mark.parametrize(
+    ("missed", "first"), [(3e-7, "value        x: 70.000 +- 0.003 N"), (0.01, "peak         70.000 +- 0.013 N")]
+)
+def test_no_line_of_tune_states_less_than_settling_left(monkeypatch, missed, first):
+    monkeypatch.setattr(tune, "left_out", lambda _: [])
+    reference = SimpleNamespace(missed=missed, settling=3e-3, motion=70.0, parts=8)
+    compared = SimpleNamespace(unit="N", size_in_words=lambda _: "x")
+    row = SimpleNamespace(rms_error=1e-9, relative_error=1e-11, seconds=1.0, clock="processor time", passes=1.0)
+    assert next(tune._outcome(None, compared, reference, row, 0.01)).startswith(first)
 
 
 def test_settling_that_cannot_be_told_is_named(tmp_path, monkeypatch):
