@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, gained_in_step, takers
+from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.analysis.stability import explicit_parts, present_limit
 from taichi_sim.analysis.strikes import unanswered
 from taichi_sim.analysis.touching import overlap, overlap_at_start
 from taichi_sim.common.warn import warn
 from taichi_sim.kernels.contacts import statistics
 from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.materials import max_restitution
 from taichi_sim.scene.objects import pair_in_words
 from taichi_sim.simulation.energy_monitor import LARGEST_PART, Growth, size
 
@@ -21,6 +23,7 @@ __all__ = ["RunChecks"]
 
 UNSEEN = 256  # substeps between two looks at contacts
 RUSH = 0.2  # of the smallest radius: moves in a substep, above which crowds lie deep in each other
+RIGID = 1e3  # omega h of springs
 LOOKS_PER_BOUND = 16  # from one bound for the present shape to the next, in scenes of at most
 MOST_BOUNDED = 20_000  # balls and springs
 
@@ -46,7 +49,9 @@ class RunChecks:
         self._rush = RUSH * float(scene.radius.min()) if parts.plan.pairs else np.inf  # m a substep
         self._single = parts.backend.precision == "f32"
         self._solves = parts.integrator.solver_report() is not None
-        self.watches_steps = self._solves and not self.drivers  # each of them, see EnergyMonitor.gain_of_step
+        # each step, see EnergyMonitor.gain_of_step: a look costs up to as much as a cheap step, so only where steps may gain
+        gains = (parts.contacts.active and max_restitution(scene) > 0.0) or self._is_rigid()
+        self.watches_steps = self._solves and not self.drivers and gains
         # beyond the bound for every shape the present one decides; where nothing is safe that was said at the start
         is_bounded = scene.n_balls + scene.n_springs <= MOST_BOUNDED
         self._strays = is_bounded and self.part_of_bound > 1.0 + 1e-9
@@ -63,6 +68,10 @@ class RunChecks:
         if self.run.own:
             forces = self.run.parts.arguments[4]
             yield "forces of your own" if forces else "a method or contact rule of your own"
+
+    def _is_rigid(self) -> bool:
+        """True if springs swing so fast beside a step that its solution knows their energy to a part of the motion's alone."""
+        return self.run.h * np.sqrt(largest_eigenvalue(self.scene, self.scene.stiffness)[0]) > RIGID
 
     @property
     def part_of_bound(self) -> float:
