@@ -467,8 +467,9 @@ class Simulation(Reader):
         if not isinstance(snapshot, Snapshot):
             raise SceneError("snapshot", snapshot, "a ts.Snapshot")
         assert self.parts is not None  # not closed
+        state = snapshot.checked(self.scene)
         settled = Settled.of(snapshot.stepping.get("settled"))
-        self._stepper.resume(snapshot.checked(self.scene))
+        self._stepper.resume(state)
         self.settled = settled
         self._begin_readings()
         self.readings.recall(snapshot.stepping.get("readings"))
