@@ -260,7 +260,7 @@ class HeldBalls:
     @ti.func
     def restrict(self, free: ti.template()):
         """Leave of the velocity free.shift that each body lacks what surfaces and friction allow all of it to have: they would
-        stop their balls alone, which would strain the body. What they stop is an error of the stage, see `report`."""
+        stop their balls alone, which would strain the body. What they stop is an error of the stage, see `tell_probes`."""
         self.bodies.each_part(self._sum_stops, ())
         self.bodies.join((self.part.stops, self.part.drags, self.part.mass))
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -294,7 +294,7 @@ class HeldBalls:
         self.part[c].mass = mass
 
     @ti.func
-    def report(self, free: ti.template(), part):
+    def tell_probes(self, free: ti.template(), part):
         """Tell probes of `part` of the momentum that each body lacks by free.shift: its surfaces took it, by their pushes at the
         end of the stage. Where none pushes any more, the last one did."""
         self.bodies.each_part(self._sum_pushes, ())

@@ -31,7 +31,7 @@ class ImplicitEuler(Implicit):
     @ti.func
     def end(self, stage, h):
         """End the stage: there is nothing to keep. Probes learn what it left out."""
-        self.solver.report(1.0)
+        self.solver.tell_probes(1.0)
 
     def finishing(self) -> list[Part]:
         """Contacts on the new velocity, then move."""

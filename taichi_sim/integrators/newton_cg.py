@@ -725,11 +725,11 @@ class StageSolver(Verdicts):
         self.judge_all()
 
     @ti.func
-    def report(self, part):
+    def tell_probes(self, part):
         """Tell probes of `part` of the momentum that bodies lack with the velocities `base`, of those in q; see HeldBalls."""
         if ti.static(self.reports):
             self.free.find_lack(self.base, self.q)
-            self.held.report(self.free, part)
+            self.held.tell_probes(self.free, part)
 
     @ti.func
     def begins(self, b):

@@ -117,7 +117,7 @@ class TRBDF2(Implicit):
                 self.slope[i] = (self.solver.base[i].v - self.solver.q[i]) / (self.part * h)
             if ti.static(self.solver.reports):
                 self.solver.q[i] = self._velocity_of_kicks(i, stage, answers)
-        self.solver.report(ti.select(answers, 0.5, 1.0))
+        self.solver.tell_probes(ti.select(answers, 0.5, 1.0))
         if ti.static(self.answers):
             if answers:
                 self._answer(h)
