@@ -75,7 +75,7 @@ def test_what_lands_on_stiff_springs_gains_no_energy_and_leaves_again(method, h)
 @pytest.mark.slow
 @pytest.mark.parametrize(("restitution", "friction", "h"), [(0.35, 0.25, 0.007), (0.6, 0.1, 0.01)])
 def test_a_damped_body_that_bounces_in_a_hollow_gains_no_energy(restitution, friction, h):
-    """What pressed a ball that came to lie in the surface, or that lost touch with it, was thrown back as an impact."""
+    """Forces that pressed a ball, which lay in the surface or had lost touch with it, were thrown back as an impact."""
     for shape in (ts.Sphere((0, 0, 0), 0.5, hollow=0.1), ts.Capsule((0, 0, -1), (0, 0, 1), 0.5, hollow=0.1)):
         scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
         scene.add_material("gel", restitution=restitution, friction=friction)

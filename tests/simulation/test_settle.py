@@ -95,7 +95,7 @@ def tensions_of_meshes(file, settle):
 
 @pytest.mark.skipif(PRECISION == "f32", reason="rounding keeps the finer meshes from rest")
 def test_settled_meshes_differ_by_their_spacing_alone(tmp_path):
-    """What `settle` leaves is a tenth of the difference between meshes and more, and no part of it in a report."""
+    """The remainder of `settle` is a tenth of the difference between meshes and more, and no part of it in a report."""
     found, left = tensions_of_meshes(tmp_path / "s.toml", 3e-3)
     true, _ = tensions_of_meshes(tmp_path / "s.toml", 1e-6)
     assert np.diff(found) == pytest.approx(np.diff(true), rel=0.02)
