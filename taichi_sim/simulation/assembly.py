@@ -1,16 +1,13 @@
 """Assembly: from a scene and settings to model, state, forces, contacts, integrator and drivers, with only what is needed."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.rebounds import AT_ONCE, IN_SWEEPS, IN_TURN
-from taichi_sim.analysis.touching import may_collide
-from taichi_sim.common import memory
-from taichi_sim.common.errors import SceneError
 from taichi_sim.contacts import CONTACT_RULES, ContactRule
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
@@ -24,45 +21,40 @@ from taichi_sim.contacts.sticks import Sticks
 from taichi_sim.contacts.triangles import TriangleContacts
 from taichi_sim.contacts.walls import Walls
 from taichi_sim.device.backend import Backend
-from taichi_sim.device.devices import find
-from taichi_sim.device.engine import another
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.shared_kernels import share_kernels
 from taichi_sim.device.spatial_sort import in_order, spatial_order
 from taichi_sim.device.state import State
 from taichi_sim.forces.driven_pins import DrivenPins
-from taichi_sim.forces.element import Element
-from taichi_sim.forces.spring_colours import MOST_COLOURS
 from taichi_sim.forces.springs import Springs, fixed_order
 from taichi_sim.forces.sum import TotalForce
 from taichi_sim.forces.tearing import Tearing
 from taichi_sim.integrators import BUILT_IN
 from taichi_sim.kernels.contacts import contact_law, statistics
-from taichi_sim.kernels.contacts.pairs import ENDLESS
 from taichi_sim.scene.motion import TICKS
 from taichi_sim.scene.motors import Motor
 from taichi_sim.scene.probes import bodies_of
-from taichi_sim.scene.scene import Scene, used_materials
+from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
+from taichi_sim.simulation.choices import compensates, is_serial, is_small, order_of_springs, rule_of, turning
+from taichi_sim.simulation.contact_capacity import (
+    NO_CAPACITY_KNOWN,
+    PAIR_BYTES,
+    ContactCapacity,
+    enough_for,
+    lacking,
+    room_of,
+    spare_bytes,
+)
 from taichi_sim.simulation.drivers import Drivers
 from taichi_sim.simulation.moments import KEPT, Moments, unnamed
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.state_probe import StateProbe
 from taichi_sim.simulation.step_doubling import SecondSolution
 
-__all__ = ["Assembly", "compensates"]
+__all__ = ["Assembly"]
 
-# balls + springs and their like, up to which one thread is faster than two. A substep that looks for contacts has some fifty
-# parallel loops, which two threads take 1.2 ms to begin: a jelly of 24 000 takes 0.5 ms fused, 1.5 ms on two threads
-FUSED_UP_TO, FUSED_WITH_SEARCH = 20_000, 60_000
-SEARCHED = 2  # added for each ball there: 20 000 balls alone
-FINEST_ROUNDING = 1e-11  # of a radius: rounding of positions that adds up to 1e-9 in some thousand steps
-MEMORY_SHARE = 0.5  # of what the machine has free, or a GPU has in all: the most that lists of contacts may grow to
-GPU_MEMORY = 1 << 30  # bytes, the same where a GPU does not say what it has
-PAIR_BYTES = 64  # about what a listed pair takes
-# made, in units of what was found too much: once, and if that happens again
-SPARE_CAPACITY, LARGE_SPARE_CAPACITY = 1.5, 4.0
 NOT_COMPILED = (
     "arguments",
     "h",
@@ -74,17 +66,6 @@ NOT_COMPILED = (
 
 
 APART = (Scene, Fields, Motor)  # nor that
-
-
-class ContactCapacity(NamedTuple):
-    """Entries that contacts are known to need: links of pairs, rows of sticks and of triangles."""
-
-    pairs: int = 0
-    sticks: int = 0
-    triangles: int = 0
-
-
-NO_CAPACITY_KNOWN = ContactCapacity()
 
 
 class Assembly:
@@ -144,16 +125,15 @@ class Assembly:
             scene = in_order(scene, order)
         self.model = Model(scene, self.fields)
         self.model.set_spinning(turning(scene, settings, forces))
-        small = _is_small(scene)
         self.state = State(
             self.model, self.fields, compensated=compensates(scene, backend, settings.integrator), order=order
         )
-        self.fused = cpu and _is_serial(scene, settings, backend.threads)
+        self.fused = cpu and is_serial(scene, settings, backend.threads)
         self.atomic = settings.accumulate == "atomic"
         self.parallel = settings.accumulate == "gather" or not (cpu or self.atomic)
         self.integrator = settings.integrator
         self.integrator.fit(scene)
-        springs = self._springs(scene, cpu, small, h)
+        springs = self._springs(scene, cpu, h)
         self.forces = TotalForce(self.model, self.fields, springs, forces)
         self.forces.allocate(self.state, self.fields)
         self.contacts = self._contacts(scene, settings, h, cpu)
@@ -179,29 +159,16 @@ class Assembly:
         size = scene.n_balls + scene.n_springs
         self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing, size)
 
-    def _springs(self, scene: Scene, cpu: bool, small: bool, h: float) -> Springs | None:
+    def _springs(self, scene: Scene, cpu: bool, h: float) -> Springs | None:
         if scene.n_springs == 0:
             return None
-        once = self.integrator.each_once  # in blocks, padded or not; a GPU has more threads than there are
-        coloured = once and self.integrator.in_turn and np.bincount(scene.pairs.ravel()).max() <= MOST_COLOURS // 2
-        order = fixed_order(self.model, cpu, small)
-        if self.atomic:
-            order = "atomic"
-        elif once and self.parallel and not self.integrator.in_turn:
-            order = "ends"
-        elif coloured and (self.parallel or not cpu):  # ordered alike on both
-            order = "colours"
-        elif once and not cpu:
-            order = "atomic"
-        elif once and order == "gather":
-            order = "blocks"
-        elif self.integrator.in_turn and order == "padded":
-            order = "batches"
+        fixed = fixed_order(self.model, cpu, is_small(scene))
+        order = order_of_springs(scene, self.integrator, fixed, cpu=cpu, atomic=self.atomic, parallel=self.parallel)
         return Springs(self.model, self.fields, self.integrator.damping(self.model, h), order)
 
     def _contacts(self, scene: Scene, settings: Settings, h: float, cpu: bool) -> ContactRule:
         """The parts of the plan, bound to the rule that solves them."""
-        rule = self._rule(settings, cpu)
+        rule = rule_of(settings, cpu)
         as_on_device = self.parallel and type(rule) in CONTACT_RULES.values()
         self.plan = plan_contacts(
             scene,
@@ -224,7 +191,7 @@ class Assembly:
             model.add_contact_fields()
         walls = pairs = sticks = triangles = None
         if plan.pairs:
-            most = self._spare_bytes() // PAIR_BYTES
+            most = spare_bytes(self.backend, self.fields) // PAIR_BYTES
             gap = LISTED_GAP if plan.soft else 0.0
             grid = Grid(model, fields, plan.skin, gap, most, plan.gathers)
             pairs = Pairs(model, fields, grid, plan, self.capacity.pairs)
@@ -239,23 +206,6 @@ class Assembly:
         parts = ContactParts(walls, pairs, sticks, triangles)
         rule.bind(plan, model, self.state, fields, parts, self.threshold, h)
         return rule
-
-    def _rule(self, settings: Settings, cpu: bool) -> ContactRule:
-        """A fixed order of pairs is what Gauss-Seidel is made of; atomics take all at once. It needs half the iterations, and
-        impacts one by one, which need the blocks of a CPU, keep the energy of what bounces."""
-        ordered = cpu and settings.accumulate in ("auto", "ordered")
-        rule = settings.contacts
-        if isinstance(rule, str):
-            rule = CONTACT_RULES[("gauss_seidel" if ordered else "jacobi") if rule == "auto" else rule]()
-        if rule.in_turn and not ordered:
-            atomic = cpu or settings.accumulate == "atomic"
-            why = f"accumulate: {settings.accumulate!r}" if atomic else "a GPU"
-            raise SceneError(
-                "contacts",
-                says=f"{rule.name!r} changes velocities in a fixed order, which {why} does not have; use 'jacobi' or 'sum'"
-                + (", or accumulate 'ordered'" if cpu else ""),
-            )
-        return another(rule)  # one object may serve several simulations
 
     @property
     def setup(self) -> Setup:
@@ -401,34 +351,13 @@ class Assembly:
 
     def lacking(self) -> ContactCapacity | None:
         """Entries that contacts need where they did not all fit since the last call, else None."""
-        found = {}
-        for name in ContactCapacity._fields:
-            part = getattr(self.contacts, name)
-            if part is not None and (entries := int(part.overflow[0])) > part.capacity:
-                part.overflow[0] = 0
-                found[name] = entries
-        return self.capacity._replace(**found) if found else None
+        return lacking(self.contacts, self.capacity)
 
     def with_capacity(self, needed: ContactCapacity) -> "Assembly":
         """Return a copy, compiled anew, with lists for what is needed and half as much again, see `with_room`. Raises
-        SceneError, and changes nothing, where that takes more than MEMORY_SHARE of the free memory, or more entries than
-        numbers of 32 bits count."""
-        enough = {}
-        for name in ContactCapacity._fields:
-            part, entries = getattr(self.contacts, name), getattr(needed, name)
-            if part is not None and entries > part.capacity:
-                if entries == ENDLESS:
-                    raise SceneError(self._endless())
-                limit = max(part.capacity, int(min(part.most, self._spare_bytes() // part.bytes_each)))
-                if entries > limit:
-                    raise SceneError(
-                        f"contacts: {part.what} need {entries} entries, but there is memory for {limit}"
-                        f" ({limit * part.bytes_each / 2**30:.3g} GiB): too many balls lie in each other"
-                    )
-                spare = SPARE_CAPACITY if self.capacity == NO_CAPACITY_KNOWN else LARGE_SPARE_CAPACITY
-                entries = min(limit, int(spare * entries))
-            enough[name] = entries
-        return self.with_room(ContactCapacity(**enough))
+        SceneError, and changes nothing, where there is no memory for them."""
+        again = self.capacity != NO_CAPACITY_KNOWN
+        return self.with_room(enough_for(needed, self.contacts, again, spare_bytes(self.backend, self.fields)))
 
     def with_room(self, capacity: ContactCapacity) -> "Assembly":
         """Return a copy with contact lists of at least so many entries, and free this one. What is stored in moments,
@@ -454,78 +383,8 @@ class Assembly:
     @property
     def room(self) -> ContactCapacity:
         """Entries that there is room for; 0 of what is missing."""
-        parts = (getattr(self.contacts, name) for name in ContactCapacity._fields)
-        return ContactCapacity(*(0 if part is None else part.capacity for part in parts))
-
-    def _endless(self) -> str:
-        """Message for a scene where counting itself would take too long."""
-        pairs = self.contacts.pairs
-        assert pairs is not None
-        width = pairs.grid.widest
-        return (
-            f"contacts: {float(pairs.grid.most_crowded_pairs[0]):.2g} pairs of balls lie in the same cells, up to {width:.3g} m"
-            f" wide, but there is memory for {float(pairs.grid.pair_limit[0]):.2g}: too many balls lie in each other"
-        )
-
-    def _spare_bytes(self) -> int:
-        """Bytes that lists of contacts may take."""
-        if self.backend.arch != "cpu":
-            device = find(self.backend.arch)
-            return int(MEMORY_SHARE * device.memory) if device is not None and device.memory else GPU_MEMORY
-        return int(MEMORY_SHARE * (memory.available() + self.fields.bytes))
+        return room_of(self.contacts)
 
     def free(self) -> None:
         """Give all memory back."""
         self.fields.free()
-
-
-def _size(scene: Scene) -> int:
-    """Work of a substep: balls and springs, and elements by what they take of these."""
-    elements = 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes) + 16 * len(scene.bricks)
-    elements += 8 * len(scene.solids)
-    return scene.n_balls + scene.n_springs + elements
-
-
-def _is_small(scene: Scene) -> bool:
-    return _size(scene) <= FUSED_UP_TO
-
-
-def _is_serial(scene: Scene, settings: Settings, threads: int) -> bool:
-    """True if a CPU runs the scene on one thread: where that was asked for, or more threads would gain nothing."""
-    if settings.driver != "auto":
-        return settings.driver == "fused"
-    if threads == 1 or _is_small(scene):
-        return True
-    if settings.contacts == "off" or _size(scene) + SEARCHED * scene.n_balls > FUSED_WITH_SEARCH:
-        return False
-    return may_collide(scene) or bool(scene.solid.any() or scene.collides.any())
-
-
-def compensates(scene: Scene, backend: Backend, integrator: Any) -> bool:
-    """True if sums keep what rounding takes from them. Large scenes are bound by memory, where that would cost a tenth of the
-    speed of explicit methods."""
-    return (_is_small(scene) or integrator.refines(scene)) and _rounds(scene, backend)
-
-
-def _rounds(scene: Scene, backend: Backend) -> bool:
-    """True if sums of many small steps lose digits that show: in single precision, or far from the origin."""
-    if backend.precision == "f32" or not scene.n_balls:
-        return backend.precision == "f32"
-    return float(np.max(np.abs(scene.position))) * float(np.finfo(np.float64).eps) > FINEST_ROUNDING * float(
-        np.min(scene.radius)
-    )
-
-
-def turning(scene: Scene, settings: Settings, forces: Sequence[Any] = ()) -> NDArray[np.bool_]:
-    """Mask (n,) of the balls that turn: "auto" selects loose ones where Coulomb friction can make them turn. Those of cloth and
-    jelly, which springs, cells and the like, user-defined elements too, join at their centres, would only roll under it like
-    casters."""
-    if settings.contacts == "off" or settings.spin is False:
-        return np.zeros(scene.n_balls, dtype=bool)
-    if settings.spin is True:
-        return np.ones(scene.n_balls, dtype=bool)
-    joined = scene.joined()
-    for force in forces:
-        if isinstance(force, Element):
-            joined[force.corners(scene)] = True
-    return ~scene.pinned & ~joined & any(m.friction > 0 for m in used_materials(scene))

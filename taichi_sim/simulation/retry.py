@@ -87,7 +87,7 @@ class Retry:
         """The chunk once more, step by step, up to the first that is bad; the one before is kept."""
         run = self.run
         run.go_back()
-        sample = run.parts.state_probe.sample()
+        sample = run.look()
         for step in range(run.mark + 1, target + 1):
             sample = run.run_to(step)
             if sample.bad is not None:

@@ -38,7 +38,9 @@ from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.scene.summary import as_html, in_words, parts_of
-from taichi_sim.simulation.assembly import NO_CAPACITY_KNOWN, Assembly, compensates
+from taichi_sim.simulation.assembly import Assembly
+from taichi_sim.simulation.choices import compensates
+from taichi_sim.simulation.contact_capacity import NO_CAPACITY_KNOWN
 from taichi_sim.simulation.error_control import ErrorEstimate, check_digits
 from taichi_sim.simulation.settings import Settings
 from taichi_sim.simulation.settling import Settled, require_tolerance, settle, still

@@ -18,7 +18,8 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
-from taichi_sim.simulation.assembly import Assembly, ContactCapacity
+from taichi_sim.simulation.assembly import Assembly
+from taichi_sim.simulation.contact_capacity import ContactCapacity
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.error_control import ErrorControl
 from taichi_sim.simulation.moments import KEPT, LIVE
@@ -76,6 +77,7 @@ class Stepper:
         self.largest_motion = 0.0
         self.kinetic = self.gained = self.gained_before = 0.0
         parts.moments.h[LIVE] = self.h
+        self._seen: StateSample | None = None  # of the present state, where it is known
         self.checks, self.retry = RunChecks(self), Retry(self)
         self.policy: Retry | ErrorControl = self.retry if settings.tolerance is None else ErrorControl(self)
         self.monitor = EnergyMonitor(
@@ -125,6 +127,7 @@ class Stepper:
     def begin_here(self) -> None:
         """Places or velocities were set from outside; nothing of what an interrupted call left is made again over them."""
         self.primed = self.halfway = False
+        self._seen = None
 
     def prime(self) -> None:
         """Make what a step expects, where positions were set from outside."""
@@ -192,6 +195,7 @@ class Stepper:
         self.parts.state.restore()
         self.parts.moments.load(KEPT, self.h)
         self.steps, self._begun, self.halfway = self.mark, False, False
+        self._seen = None
 
     def run_to(self, target: int) -> StateSample:
         """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
@@ -205,7 +209,13 @@ class Stepper:
             self._make_room(needed)
             self.start()
             self._launch(target)
-        return self.parts.state_probe.sample()
+        return self.look()
+
+    def look(self) -> StateSample:
+        """Sample of the state that `run_to` or `go_back` led to, taken once."""
+        if self._seen is None:
+            self._seen = self.parts.state_probe.sample()
+        return self._seen
 
     def _launch(self, target: int) -> None:
         first, substeps = (self.steps - self.mark) * self.substeps, (target - self.steps) * self.substeps
@@ -213,15 +223,17 @@ class Stepper:
         if self.checks.watches_steps:
             self._launch_each(first, substeps)
         else:
+            self._seen = None
             self.parts.run(first, substeps, self.h, self.marked)
         self.steps, self.halfway = target, False
 
     def _launch_each(self, first: int, substeps: int) -> None:
         """Run substeps one at a time, and look at what each gains."""
-        before = self.parts.state_probe.sample()
+        before = self.look()
         for number in range(first, first + substeps):
+            self._seen = None
             self.parts.run(number, 1, self.h, self.marked)
-            after = self.parts.state_probe.sample()
+            after = self.look()
             self.kinetic = max(self.kinetic, after.kinetic)
             self.gained = max(self.gained, self.monitor.gain_of_step(before, after, self.kinetic))
             before = after

@@ -17,7 +17,7 @@ from taichi_sim.device.fast_launches import by_engine
 from taichi_sim.device.parts import BOTH, PRIME, STEP, Chain, Launches, Part
 from taichi_sim.integrators.symplectic_euler import SymplecticEuler
 from taichi_sim.integrators.verlet import Verlet
-from taichi_sim.simulation import assembly, drivers
+from taichi_sim.simulation import choices, drivers
 
 pytestmark = pytest.mark.once
 
@@ -134,8 +134,8 @@ def test_one_thread_runs_large_scenes_fused_too(monkeypatch):
     scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
     scene.add_balls([[0.0, 0.15], [0.05, 0.45], [1.0, 0.2]], radius=0.02)
     scene.add_springs([(1, 2)], stiffness=40.0)
-    monkeypatch.setattr(assembly, "FUSED_UP_TO", 0)
-    monkeypatch.setattr(assembly, "FUSED_WITH_SEARCH", 0)
+    monkeypatch.setattr(choices, "FUSED_UP_TO", 0)
+    monkeypatch.setattr(choices, "FUSED_WITH_SEARCH", 0)
     monkeypatch.setattr(drivers, "FUSED_WORK", 12)  # three substeps of four
     start, ends = backend.start, []
     for threads in (1, 2):
@@ -156,17 +156,17 @@ def test_a_scene_that_looks_for_contacts_is_fused_up_to_a_larger_size(monkeypatc
     """Its substeps have more loops, which threads take long to begin."""
     start = backend.start
     monkeypatch.setattr(backend, "start", lambda *given: start(*given)._replace(threads=2))
-    monkeypatch.setattr(assembly, "FUSED_UP_TO", 4)
+    monkeypatch.setattr(choices, "FUSED_UP_TO", 4)
 
     def driver(chain, limit, **settings):
         scene = ts.Scene(dim=2)
         scene.add_balls([[0.3 * k, 0.0] for k in range(4)], radius=0.1)
         scene.add_springs([(0, 1), (1, 2), (2, 3), (0, 2), (1, 3), (0, 3)][: 6 if chain else 3], stiffness=40.0)
-        monkeypatch.setattr(assembly, "FUSED_WITH_SEARCH", limit)
+        monkeypatch.setattr(choices, "FUSED_WITH_SEARCH", limit)
         with ts.Simulation(scene, dt=1e-3, arch="cpu", **settings) as sim:
             return sim.kernels()[0]
 
-    fewest = 4 + 3 + 4 * assembly.SEARCHED
+    fewest = 4 + 3 + 4 * choices.SEARCHED
     assert driver(False, fewest) == "driver.fused"
     assert driver(False, fewest - 1) == "driver.parallel"
     assert driver(False, fewest, contacts="off") == "driver.parallel"

@@ -7,7 +7,7 @@ from taichi_sim import Pointer, Scene, SceneError, Simulation, Snapshot, shapes
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import stability
 from taichi_sim.forces.pointer import DRAGGED_PART, MOST_RATE_STEP
-from taichi_sim.simulation.assembly import ContactCapacity
+from taichi_sim.simulation.contact_capacity import ContactCapacity
 
 pytestmark = pytest.mark.long_in("f64")
 

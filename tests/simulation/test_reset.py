@@ -11,7 +11,7 @@ from physics_support import PRECISION
 import taichi_sim as ts
 from taichi_sim.device.engine import ENGINE, ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.simulation.assembly import ContactCapacity
+from taichi_sim.simulation.contact_capacity import ContactCapacity
 
 pytestmark = pytest.mark.skipif(ENGINE != "taichi", reason="it shares no kernels")
 CPU = {"precision": PRECISION, "arch": "cpu"}
