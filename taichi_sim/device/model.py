@@ -21,12 +21,13 @@ class Model:
     Attributes that kernels read: `n`, `dim`; `inverse_mass` (n) [1/kg], 0 when pinned; `gravity` (1) [m/s^2]. For contacts,
     made on demand: `radius` (n) [m], `surface` (n) material index, `laws` (materials^2) restitution, friction, viscous friction
     for each pair of materials; `group`, `mask` (n) bits of collision groups, where the scene has some. `spins`: whether any
-    ball spins; `spin_inertia_ratio`: m r^2 / I of those that do.
+    ball spins; `spin_inertia_ratio`: m r^2 / I of those that do. `serial`: whether all loops run on one thread of a CPU.
     """
 
-    def __init__(self, scene: Scene, fields: Fields) -> None:
+    def __init__(self, scene: Scene, fields: Fields, serial: bool = False) -> None:
         self.scene = scene
         self.fields = fields
+        self.serial = serial
         self.n = scene.n_balls
         self.dim = scene.dim
         self.inverse_mass_array: NDArray[np.float64] = np.where(scene.pinned, 0.0, 1.0 / scene.mass)

@@ -6,6 +6,8 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.incidence import Corners
+from taichi_sim.kernels.springs import padded_blocks
+from taichi_sim.kernels.springs.padded_blocks import dot
 from taichi_sim.scene.membranes import shape_gradients
 
 __all__ = ["Membranes"]
@@ -18,7 +20,8 @@ class Membranes(Corners):
     F = sum_k x_k g_k^T (3 x 2) is the derivative of places, E = (F^T F - 1) / 2 the strain, S = C : E the stress, and T = damping
     C : dE/dt. The matrix has F (C : sym F^T dF) g, positive semidefinite, and dF (S + T) g without the negative eigenvalue of S
     + T, which is what buckles (Teran et al. 2005). Each triangle is worked out once, into three vectors, which its corners
-    gather.
+    gather. On one thread explicit methods add these in the same order to the balls instead, in `sum`, and read copies of places
+    and velocities, `padded`, with a fourth number: a register holds them, and the loop takes half of the time.
 
     Fields: `triangle`, one row each; `given` (3 t): what each has for its corners; `state`: F by its columns u and v, and S + T.
     """
@@ -42,9 +45,14 @@ class Membranes(Corners):
         vector = ti.types.vector(3, real)
         self.given = fields.vectors(3 * self.count, 3)
         self.state = fields.table({"u": vector, "v": vector, "stress": vector}, self.count)
-        place = 3 * np.arange(self.count)[None] + np.arange(3)[:, None]
-        others = np.concatenate([corners[:, [1, 2]], corners[:, [2, 0]], corners[:, [0, 1]]])
-        self.gather(model, fields, others, corners.T.ravel(), {"place": ti.i32}, {"place": place.ravel()})
+        self.scatters = model.serial and not np.isfinite(scene.break_strain).any()
+        if self.scatters:
+            four = ti.types.vector(padded_blocks.width(3), real)
+            self.padded = fields.table({"x": four, "v": four} if self.damped else {"x": four}, model.n)
+            self.sum = fields.vectors(model.n, padded_blocks.width(3))
+        # triangle after triangle, so that each ball adds them in the order in which one thread does
+        others = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
+        self.gather(model, fields, others, corners.ravel(), {"place": ti.i32}, {"place": np.arange(3 * self.count)})
 
     @ti.func
     def _slope(self, a, b, c, of):
@@ -64,28 +72,38 @@ class Membranes(Corners):
         )
 
     @ti.func
-    def _give(self, t, u, v, of):
-        """Note for the corners of triangle t what the columns u and v of a stress give them."""
-        b = -of.area * (u * of.bu + v * of.bv)
-        c = -of.area * (u * of.cu + v * of.cv)
-        self.given[3 * t] = ti.cast(-(b + c), float)
-        self.given[3 * t + 1] = ti.cast(b, float)
-        self.given[3 * t + 2] = ti.cast(c, float)
+    def _parts(self, u, v, of):
+        """What the columns u and v of a stress, times the area, give the corners."""
+        bu, bv, cu, cv = -of.area * of.bu, -of.area * of.bv, -of.area * of.cu, -of.area * of.cv
+        b = u * bu + v * bv
+        c = u * cu + v * cv
+        return -(b + c), b, c
+
+    @ti.func
+    def _corner_forces(self, u, v, stress, of):
+        """Forces on the corners [N] by a stress at the slope of columns u and v."""
+        return self._parts(u * stress[0] + v * stress[2], v * stress[1] + u * stress[2], of)
+
+    @ti.func
+    def _give(self, t, parts):
+        """Note for the corners of triangle t what each gets."""
+        for k in ti.static(range(3)):
+            self.given[3 * t + k] = ti.cast(parts[k], float)
 
     @ti.func
     def _rate(self, ball: ti.template(), u, v, of):
         """Rate of the strain (E_uu, E_vv, 2 E_uv) [1/s]."""
         du, dv = self._slope(ball[of.a].v, ball[of.b].v, ball[of.c].v, of)
-        rate = ti.Vector([u.dot(du), v.dot(dv), u.dot(dv) + v.dot(du)])
+        rate = ti.Vector([dot(u, du, 3), dot(v, dv, 3), dot(u, dv, 3) + dot(v, du, 3)])
         if ti.static(self.staged):
-            rate -= self.half_step[0] * ti.Vector([du.dot(du), dv.dot(dv), 2.0 * du.dot(dv)])
+            rate -= self.half_step[0] * ti.Vector([dot(du, du, 3), dot(dv, dv, 3), 2.0 * dot(du, dv, 3)])
             du, dv = self._slope(ball[of.a].w, ball[of.b].w, ball[of.c].w, of)
-            rate += self.half_step[0] * ti.Vector([du.dot(du), dv.dot(dv), 2.0 * du.dot(dv)])
+            rate += self.half_step[0] * ti.Vector([dot(du, du, 3), dot(dv, dv, 3), 2.0 * dot(du, dv, 3)])
         return rate
 
     @ti.func
     def _strain(self, u, v):
-        return ti.Vector([0.5 * (u.dot(u) - 1.0), 0.5 * (v.dot(v) - 1.0), u.dot(v)])
+        return ti.Vector([0.5 * (dot(u, u, 3) - 1.0), 0.5 * (dot(v, v, 3) - 1.0), dot(u, v, 3)])
 
     @ti.func
     def _whole_stress(self, ball: ti.template(), u, v, of):
@@ -96,13 +114,33 @@ class Membranes(Corners):
         return stress
 
     @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        """Add h times the forces [N s]."""
+        if ti.static(self.scatters):
+            for i in range(self.n):
+                self.padded[i].x = padded_blocks.pad(ball[i].x, 3)
+                if ti.static(self.damped):
+                    self.padded[i].v = padded_blocks.pad(ball[i].v, 3)
+                self.sum[i] = ti.Vector.zero(float, 4)
+            for t in range(self.count):
+                of = self.triangle[t]
+                u, v = self._slope(self.padded[of.a].x, self.padded[of.b].x, self.padded[of.c].x, of)
+                a, b, c = self._corner_forces(u, v, self._whole_stress(self.padded, u, v, of), of)
+                self.sum[of.a] = self.sum[of.a] + a  # a bare += would be atomic
+                self.sum[of.b] = self.sum[of.b] + b
+                self.sum[of.c] = self.sum[of.c] + c
+            for i in range(self.n):
+                impulse[i] = impulse[i] + h * padded_blocks.cut(self.sum[i], 3)
+        else:
+            Corners.accumulate(self, model, ball, impulse, h, time)
+
+    @ti.func
     def prepare(self, ball: ti.template()):
         """Forces of all triangles."""
         for t in range(self.count):
             of = self.triangle[t]
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
-            stress = self._whole_stress(ball, u, v, of)
-            self._give(t, u * stress[0] + v * stress[2], v * stress[1] + u * stress[2], of)
+            self._give(t, self._corner_forces(u, v, self._whole_stress(ball, u, v, of), of))
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
@@ -157,7 +195,7 @@ class Membranes(Corners):
             stress = self._factor(of, s) * self._stress(change, of)
             one = u * stress[0] + v * stress[2] + du * now[0] + dv * now[2]
             other = v * stress[1] + u * stress[2] + dv * now[1] + du * now[2]
-            self._give(t, -one, -other, of)
+            self._give(t, self._parts(-one, -other, of))
 
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):

@@ -123,12 +123,12 @@ class Assembly:
         order = None if custom_parts else spatial_order(scene)
         if order is not None:
             scene = in_order(scene, order)
-        self.model = Model(scene, self.fields)
+        self.fused = cpu and is_serial(scene, settings, backend.threads)
+        self.model = Model(scene, self.fields, self.fused)
         self.model.set_spinning(turning(scene, settings, forces))
         self.state = State(
             self.model, self.fields, compensated=compensates(scene, backend, settings.integrator), order=order
         )
-        self.fused = cpu and is_serial(scene, settings, backend.threads)
         self.atomic = settings.accumulate == "atomic"
         self.parallel = settings.accumulate == "gather" or not (cpu or self.atomic)
         self.integrator = settings.integrator
