@@ -89,7 +89,11 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
     """Energy [J] of a user-defined force: the sum over its elements that are whole, or of the force as it is."""
     if hasattr(force, "energies"):
         whole = ~cut(np.asarray(force.balls), torn, scene.n_balls)
-        return float(np.sum(np.asarray(force.energies(x))[whole]))
+        found = np.asarray(force.energies(x))
+        if found.shape != whole.shape:
+            says = f"returns an array of shape {found.shape}; it must be {whole.shape}, one energy for each element"
+            raise SceneError(f"{type(force).__name__}.energies", says=says)
+        return float(np.sum(found[whole]))
     return float(force.energy(x, v)) if hasattr(force, "energy") else 0.0
 
 

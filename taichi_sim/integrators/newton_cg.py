@@ -8,6 +8,7 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model, incidence, phase_type
+from taichi_sim.device.state import WORLD_RADIUS
 from taichi_sim.forces.element import Element
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies, FreeBodies
@@ -39,6 +40,7 @@ __all__ = ["StageSolver"]
 
 POTENTIAL_ROUNDING = 1e3  # in units of the machine's
 FINEST_SOLUTION = 8.0  # the same
+LOST = 1e6 * WORLD_RADIUS  # m/s
 CERTAIN_NOISE = 4.0  # times the square of what rounding leaves of a residual
 NO_TIES = np.zeros((0, 2), dtype=np.int64)
 SUMS = (
@@ -682,6 +684,8 @@ class StageSolver(Verdicts):
         for i in range(self.n):
             change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
             self.last[stage * self.n + i] = self.velocity(i) - self.first[i] - change
+            if self.model.inverse_mass[i] > 0.0 and self.is_lost(self.bodies.of(i)):
+                self.base[i].v = self.base[i].v + LOST  # what was found knows nothing of such forces
         self.judge_all()
 
     @ti.func

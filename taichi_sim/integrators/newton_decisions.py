@@ -40,6 +40,7 @@ FINER_TARGET = 0.3  # of a squared residual that still gave too much
 LEFT_OUT = 0.01  # of what surfaces bear, of momentum
 WRONG_FRICTION = 0.05  # of the same
 MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
+MOST_SIZE = 1e300  # J, of a residual that is a number
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
 # What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
@@ -349,6 +350,11 @@ class Verdicts:
         if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > self.tolerance**2 * self.number[b].scale:
             gained = gain / ti.max(gain, moving)
         self.number[b].gained = gained
+
+    @ti.func
+    def is_lost(self, b):
+        """True if forces on body b are no numbers. A comparison with nan is false."""
+        return not self.number[b].residual < MOST_SIZE
 
     @ti.func
     def judge(self, b):

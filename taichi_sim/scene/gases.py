@@ -53,9 +53,12 @@ class GasMethods:
         t = validation.indices("gases.triangles", triangles, self.n_balls, width=3)
         edges = sides(t).astype(np.int64)
         forth, back = edges @ [self.n_balls, 1], edges @ [1, self.n_balls]
-        open_ = ~np.isin(forth, back)
-        if not len(t) or open_.any():
-            where = f": the edge from ball {edges[open_][0, 0]} to {edges[open_][0, 1]} has one" if len(t) else ""
+        _, places, times = np.unique(forth, return_index=True, return_counts=True)
+        wrong = np.union1d(np.flatnonzero(~np.isin(forth, back)), places[times > 1])
+        if not len(t) or len(wrong):
+            start, end = edges[wrong[0]] if len(t) else (0, 0)
+            many = np.count_nonzero((forth == forth[wrong[0]]) | (back == forth[wrong[0]])) if len(t) else 0
+            where = f": the edge from ball {start} to {end} has {'one' if many == 1 else many}" if len(t) else ""
             says = f"must close a volume, with two triangles, turned alike, at every edge{where}"
             raise SceneError("gases.triangles", says=says)
         a, b, c = (self.position[t[:, k]] - self.position[t[0, 0]] for k in range(3))

@@ -326,6 +326,14 @@ def test_a_gas_keeps_pressure_times_volume(pressure):
             r"gases.pressure: -5.1 is not allowed; it must be at least -5",
         ),
         (lambda s: s.add_gas([[0, 1, 2]], pressure=1.0), r"gases.triangles.*edge from ball 0 to 1"),
+        (  # a triangle given twice counted twice in the volume, which then depended on where the origin is
+            lambda s: s.add_gas(box().gases[0].triangles[[*range(12), 4]], pressure=1.0),
+            r"gases.triangles.*edge from ball \d to \d has 3$",
+        ),
+        (
+            lambda s: s.add_gas(np.tile(box().gases[0].triangles, (2, 1)), pressure=1.0),
+            r"gases.triangles.*edge from ball \d to \d has 4$",
+        ),
         (lambda s: s.attach([0, 1], [2], stiffness=1.0), r"attachments.other: names 1 balls and attachments.one 2"),
         (lambda s: s.add_springs([[0, 1]], stiffness=1.0, break_strain=0.0), r"springs.break_strain: 0.0"),
         (

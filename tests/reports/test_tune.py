@@ -175,6 +175,16 @@ def test_a_file_without_settings_gets_them(tmp_path):
     assert ts.load_scene(file).settings == {"integrator": "rk4", "dt": 0.001}
 
 
+def test_a_byte_order_mark_stays(tmp_path):
+    """Some editors begin a file with one; the settings that were found after minutes were lost."""
+    file = tmp_path / "marked.toml"
+    file.write_bytes(b"\xef\xbb\xbf" + FILE.encode())
+    tune.write_settings(file, {"integrator": "tr_bdf2", "dt": 0.0025})
+    assert file.read_bytes().startswith(b"\xef\xbb\xbf")
+    assert file.read_bytes().count(b"\xef\xbb\xbf") == 1
+    assert ts.load_scene(file).settings == {"dt": 0.0025, "contacts": "off", "integrator": "tr_bdf2"}
+
+
 def test_dt_takes_the_place_of_a_tolerance(tmp_path):
     file = tmp_path / "pair.toml"
     file.write_text(FILE.replace("dt = 0.5      # s, far too long", "tolerance = 1e-3  # was asked for"))

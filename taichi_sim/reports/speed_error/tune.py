@@ -3,6 +3,7 @@
 import math
 import shutil
 import sys
+from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -250,7 +251,8 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
 
     from taichi_sim.files.toml_reader import load_scene
 
-    text = file.read_bytes().decode()
+    given = file.read_bytes()
+    text = given.decode("utf-8-sig")
     document = tomlkit.parse(text)
     if "simulation" not in document:
         if text.strip():
@@ -272,7 +274,7 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
     Settings.resolve(scene, {})  # what does not go together is refused before the file changes
     part = PartFile(file.resolve())  # what a link points to
     try:
-        part.file.write(changed.encode())
+        part.file.write(changed.encode("utf-8-sig" if given.startswith(BOM_UTF8) else "utf-8"))
         shutil.copymode(file, part.part)
         part.finish()
     finally:
