@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from taichi_sim.analysis import rebounds, strikes, turning
-from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
+from taichi_sim.analysis import rebounds, sieves, strikes, turning
+from taichi_sim.analysis.accuracy import NEARER, Setup, single_precision
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
@@ -49,7 +49,7 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
                 f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin'
             )
     if setup.rule != "off":
-        yield from map(through, sieves(scene))
+        yield from map(sieves.through, sieves.sieves(scene))
         if (part := rebounds.returned(scene, setup.impacts)) > MOST_RETURNED:
             yield f"rebound: {rebounds.sentence(part)}; {rebounds.cure(scene)}"
     yield from _of_pins(scene, h)
