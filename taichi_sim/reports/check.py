@@ -20,7 +20,7 @@ from taichi_sim.analysis.methods import (
 from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, soft_step, stability, without
-from taichi_sim.analysis.strikes import strike_step
+from taichi_sim.analysis.strikes import safe_step
 from taichi_sim.common.quantities import at_most, measured
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, Settings, part_of_bound
@@ -178,8 +178,8 @@ def _other_by_auto(sim: Simulation) -> Iterator[str]:
 
 
 def _strike_step(sim: Simulation, method: Method) -> float:
-    """The longest step [s] in which a method answers impacts of balls on springs and elements; infinite without contacts."""
-    return strike_step(sim.scene, method) if sim.setup.rule != "off" else np.inf
+    """The longest step [s] in which impacts of balls on springs and elements give no energy; infinite without contacts."""
+    return safe_step(sim.scene, method) if sim.setup.rule != "off" else np.inf
 
 
 def _limited(scene: Scene, custom: Declared) -> Iterator[str]:
