@@ -131,8 +131,9 @@ class Summary:
         if self.contacts is not None and self.most_contacts:
             now, scales = self.contacts, self.scales
             lines.append(
-                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
-                f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
+                f"contacts     {now.number} at the end, {self.most_contacts} at most;"
+                f" {counted(now.iterations, 'iteration', 'iterations')} in {_each(now.substeps)},"
+                f" {counted(now.searches, 'search', 'searches')}; largest speed {self.largest_speed:.3g} m/s"
                 f"{self.fastest and f', {self.fastest}'}"
             )
             squeezes, starts_deep = (False, False) if scales is None else (scales.squeezes, scales.starts_deep)
@@ -254,6 +255,10 @@ class Summary:
             )
         if found.hidden:
             yield f"{'':12} not known of the extremes of probes: {found.hidden}"
+
+
+def _each(substeps: int) -> str:
+    return f"each of {substeps} substeps" if substeps > 1 else "each step"
 
 
 def _shown(video: Path) -> str:
