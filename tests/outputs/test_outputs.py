@@ -384,8 +384,8 @@ def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
         "b.x            2.00 m in all frames (exact to rounding)",
         "c.x            1.000 +- 0.010 m in the last frame; least 500 +- 10 mm, peak 2.000 +- 0.010 m at and between frames"
         " (step and rounding)",
-        "d.x            1.000 +- 0.010 m in the last frame; least 500 mm (exact to rounding), peak 2.000 +- 0.010 m at and between"
-        " frames (step and rounding)",
+        "d.x            1.000 +- 0.010 m in the last frame; least 500 mm (exact to rounding), peak 2.000 +- 0.010 m at and"
+        " between frames (step and rounding)",
     ):
         assert line in lines
 
