@@ -11,6 +11,7 @@ MUSCLE = 0.08  # m, stiffness of a muscle for each unit of the modulus
 
 def scene(frequency=FREQUENCY, wave=WAVE, part=PART, young_modulus=2e5):
     scene = ts.Scene(dim=3)  # afloat: no weight
+    scene.settings = {"settle": True}  # begin bent as the muscles are at the start: straight, they would jerk it
     body = {"size": (LONG, HIGH, WIDE), "resolution": (31, 5, 3), "position": (0, 0, -0.5 * WIDE)}
     eel = ts.shapes.jelly(scene, **body, density=1000.0, young_modulus=young_modulus, colour=(0.25, 0.45, 0.4))
     scene.add_wall((0, 1, 0), -0.2)

@@ -2,36 +2,26 @@
 anything runs. Figures are orders of magnitude: tests hold them to runs within a factor of two where no other is named. No Taichi.
 """
 
-import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import coarse_meshes, contact_loads, late_impacts, rebounds, shared_loads, turning
+from taichi_sim.analysis import coarse_meshes, contact_loads, late_impacts, rebounds, shared_loads, sieves, turning
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
-from taichi_sim.geometry.mesh import Edges
-from taichi_sim.scene.colliders import BOX, ROUND, Collider
-from taichi_sim.scene.collision_groups import meet
-from taichi_sim.scene.objects import ball_in_words, owner
 from taichi_sim.scene.scene import Scene, max_restitution
 
 __all__ = [
     "Finding",
     "Setup",
-    "Sieve",
-    "dip",
     "findings",
-    "holes",
     "impact_step",
     "layers",
     "rounding_error",
-    "sieves",
     "single_precision",
-    "through",
 ]
 
 Floats = NDArray[np.float64]
@@ -39,12 +29,8 @@ Floats = NDArray[np.float64]
 LOW_BOUNCE = 0.01  # of the smallest radius: bounces that end below it are not missed
 SMALL_ANGLE = 0.05  # rad: directions after impacts that are off by less are not spoken of
 DEEP_OVERLAP = 0.1  # of the radius: overlap at rest that shows
-DEEP_EDGE = (
-    0.25  # of the radius: edges that come through cloth so far are spoken of; 90 degrees at the usual radius give 0.16
-)
 VISIBLE_LOSS = 0.005  # of the smallest radius: loss of single precision that shows
 WRONG_BEND = 0.003  # of a curvature: loss of single precision that is reported
-SLACK = 0.25  # strain up to which cloth that hangs on something opens
 # of the weight above, the part along each contact with the layer below: two, three contacts at 30, 35 degrees in close packs
 LOAD_SHARE = {2: 0.577, 3: 0.408}
 FILLED_SHARE = {2: 0.84, 3: 0.62}  # of the space, by discs and balls that fell
@@ -101,7 +87,8 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
                 if setup.rule == "jacobi"
                 else "leave sticks, and surfaces that collide, out of such a scene",
             )
-        yield from _cloth(scene)
+        for what, cure in sieves.findings(scene):
+            yield Finding("cloth", what, cure)
     yield from _cells(scene)
     for what, cure in (
         *coarse_meshes.bent_findings(scene),
@@ -223,190 +210,6 @@ def layers(scene: Scene, loose: NDArray[np.bool_]) -> float:
     size = np.pi * radius**2 if scene.dim == 2 else 4.0 / 3.0 * np.pi * radius**3
     height = float(np.sum(size)) / (FILLED_SHARE[scene.dim] * float(np.prod(width)))
     return max(1.0, height / (2.0 * float(np.median(radius))))
-
-
-# Cloth and what is finer -----------------------------------------------------------------------------------------------
-
-
-class Sieve(NamedTuple):
-    """Something that goes between the balls of a surface: `what` it is, `width` [m] across, the strain [1] of the surface at
-    which it fits, 0 or less at rest, the spacing [m] of the same balls that would hold it, and the surface's name."""
-
-    what: str
-    width: float
-    strain: float
-    spacing: float
-    surface: str = "the surface"
-
-
-def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
-    """Holes of each triangle (t,), as it is at the start, without the radii of its balls: the radius [m] of the widest
-    circle that passes between its corners, half the width [m] of the widest slit between rows of balls, and its shortest
-    side [m]."""
-    x = scene.position[scene.triangles]
-    sides = np.sort(np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2), axis=1)
-    a, b, c = sides.T
-    area = 0.5 * np.linalg.norm(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1)
-    full = area > 1e-12 * c * c
-    around = np.divide(a * b * c, 4.0 * area, out=0.5 * c, where=full & (a * a + b * b > c * c))
-    slit = np.divide(area, a, out=np.zeros_like(a), where=full)
-    return around, slit, a
-
-
-def _width(collider: Collider) -> tuple[float, bool]:
-    """Half the width [m] of a solid collider where it is narrowest, and whether only between two rows of balls does it fit."""
-    if collider.is_meshed:
-        return 0.5 * float(np.ptp(collider.vertices, axis=0).min()), True
-    return (float(collider.half.min()), True) if collider.kind == BOX else (collider.radius, False)
-
-
-def _mind(scene: Scene, collider: Collider) -> NDArray[np.bool_]:
-    """Triangles (t,) whose balls a collider collides with."""
-    return meet(scene.group, scene.mask, collider.group, collider.mask)[scene.triangles].all(axis=1)
-
-
-def sieves(scene: Scene) -> Iterator[Sieve]:
-    """Colliders, and loose balls, that the cloth of a scene lets through, at rest or where it is stretched by up to SLACK."""
-    if scene.dim == 2 or not len(scene.triangles):
-        return
-    around, slit, side = holes(scene)
-    radius = scene.radius[scene.triangles].min(axis=1)
-    for k, collider in enumerate(scene.colliders):
-        minds = _mind(scene, collider)
-        if collider.hollow > 0.0 or not minds.any():
-            continue
-        half, flat = _width(collider)
-        found = _sieve(scene, collider.in_words(k), half, slit if flat else around, radius, side, minds)
-        if found is not None:
-            yield found
-    yield from _loose_through(scene, around, radius, side)
-
-
-def _loose_through(scene: Scene, around: Floats, radius: Floats, side: Floats) -> Iterator[Sieve]:
-    """The smallest ball that belongs to nothing; where triangles collide nothing goes through."""
-    thin = ~scene.solid
-    loose = scene.loose()
-    loose[scene.triangles] = False
-    for material in np.unique(scene.group[loose]) if thin.any() else ():
-        some = np.flatnonzero(loose & (scene.group == material))
-        ball = int(some[np.argmin(scene.radius[some])])
-        own = meet(scene.group, scene.mask, int(scene.group[ball]), int(scene.mask[ball]))
-        minds = thin & own[scene.triangles].all(axis=1)
-        if minds.any():
-            one = ball_in_words(scene.objects, ball)
-            found = _sieve(scene, one, float(scene.radius[ball]), around, radius, side, minds)
-            if found is not None:
-                yield found
-
-
-def _sieve(
-    scene: Scene, what: str, half: float, hole: Floats, radius: Floats, side: Floats, minds: NDArray[np.bool_]
-) -> Sieve | None:
-    """The triangle, of those that mind, that lets something of half a width [m] through at the least strain, or None."""
-    strain = (half + radius) / np.where(hole > 0.0, hole, np.inf)
-    strain = np.where((hole > 0.0) & minds, strain, np.inf) - 1.0
-    worst = int(np.argmin(strain))
-    if strain[worst] >= SLACK:
-        return None
-    spacing = half * side[worst] / ((1.0 + SLACK) * hole[worst] - radius[worst])
-    of = owner(scene.objects, int(scene.triangles[worst, 0]))
-    return Sieve(what, 2.0 * half, float(strain[worst]), float(spacing), *([of.name] if of else []))
-
-
-def through(sieve: Sieve) -> str:
-    """A sieve as a sentence."""
-    how = "" if sieve.strain <= 0.0 else f" where it is stretched by {sieve.strain:.2g}"
-    ball = sieve.what.startswith("ball")
-    cure = f"give {sieve.surface} surface_collision = true, or take" if ball else "take"
-    return (
-        f"{sieve.what}, {sieve.width:.2g} m across, goes between the balls of {sieve.surface}{how}: {cure} balls at most"
-        f" {sieve.spacing:.2g} m apart, or larger ones"
-    )
-
-
-def dip(radius: float, ball: float, hole: float) -> float:
-    """Depth [m] to which triangles reach into a sphere of `radius` [m], on which their corners, balls of a radius [m], lie:
-    their centres are sqrt((radius + ball)^2 - hole^2) from its own, hole [m] being the radius of the circle around a
-    triangle."""
-    reach = (radius + ball) ** 2 - hole**2
-    return max(0.0, radius - float(np.sqrt(reach))) if reach > 0.0 else radius
-
-
-def _flush(radius: float, ball: float) -> float:
-    """The circle [m] around triangles whose centres just touch such a sphere."""
-    return float(np.sqrt(ball * (2.0 * radius + ball)))
-
-
-def edge_dip(angle: float, ball: float, side: float) -> float:
-    """Depth [m] to which a triangle's side [m] across an edge of a solid lies below that edge, where the balls at the side's ends
-    (their radius [m]) touch the two faces at equal distances; angle [rad]: of the solid at its edge. 0 where it stays above."""
-    half = 0.5 * angle
-    return max(0.0, (0.5 * side * math.cos(half) - ball) / math.sin(half))
-
-
-def _sharpest(collider: Collider) -> float:
-    """Angle [rad] of a solid collider at its sharpest edge; pi where it has none."""
-    if not collider.is_meshed:
-        return 0.5 * math.pi if collider.kind == BOX else math.pi
-    corners, edges = collider.vertices[collider.triangles], Edges.of(collider.triangles)
-    sides = np.argsort(edges.of_side, kind="stable")
-    one, other = sides[edges.triangles[edges.of_side[sides]] == 2].reshape(-1, 2).T % len(corners)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
-    middle = corners.mean(axis=1)
-    convex = np.einsum("ei,ei->e", middle[other] - middle[one], normal[one]) < 0.0
-    turn = np.arccos(np.clip(np.einsum("ei,ei->e", normal[one], normal[other]), -1.0, 1.0))
-    return math.pi - float(turn[convex].max(initial=0.0))
-
-
-def _at_edges(scene: Scene, ball: Floats, least: Floats) -> Iterator[Finding]:
-    """Edges of colliders that come through cloth between its balls, see `edge_dip`. ball, least (t,): radius of the balls and
-    shortest side of each triangle [m]."""
-    x = scene.position[scene.triangles]
-    side = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-    for k, collider in enumerate(scene.colliders):
-        minds = _mind(scene, collider)
-        if collider.hollow > 0.0 or not minds.any():
-            continue
-        angle = _sharpest(collider)
-        worst = int(np.argmax(np.where(minds, 0.5 * side * math.cos(0.5 * angle) - ball, -np.inf)))
-        deep = edge_dip(angle, float(ball[worst]), float(side[worst]))
-        if deep <= DEEP_EDGE * ball[worst]:
-            continue
-        larger = 0.5 * float(side[worst]) * math.cos(0.5 * angle)
-        spacing = float(least[worst] * ball[worst]) / larger
-        yield Finding(
-            "cloth",
-            f"edges of {collider.in_words(k)}, {np.degrees(angle):.2g} degrees sharp, come through by up to {deep:.2g} m"
-            " between its balls",
-            f"take a radius of {larger:.2g} m, or, with this radius, balls at most {spacing:.2g} m apart",
-        )
-
-
-def _cloth(scene: Scene) -> Iterator[Finding]:
-    for sieve in sieves(scene):
-        what, cure = through(sieve).split(": ", 1)
-        yield Finding("cloth", what, cure)
-    if scene.dim == 2 or not len(scene.triangles):
-        return
-    around, _, side = holes(scene)
-    ball = scene.radius[scene.triangles].min(axis=1)
-    for k, collider in enumerate(scene.colliders):
-        minds = _mind(scene, collider)
-        if collider.kind != ROUND or collider.hollow > 0.0 or not minds.any():
-            continue
-        worst = int(np.argmax(np.where(minds, around - ball, -np.inf)))
-        if collider.radius + ball[worst] <= around[worst]:  # it goes through
-            continue
-        deep = dip(collider.radius, float(ball[worst]), float(around[worst]))
-        spacing = float(side[worst] / around[worst]) * _flush(collider.radius, float(ball[worst]))
-        if deep > 0.0:
-            yield Finding(
-                "cloth",
-                f"its triangles reach up to {deep:.2g} m into {collider.in_words(k)}",
-                f"take balls at most {spacing:.2g} m apart, or larger ones",
-            )
-    yield from _at_edges(scene, ball, side)
 
 
 # Single precision ------------------------------------------------------------------------------------------------------

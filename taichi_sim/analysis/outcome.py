@@ -192,11 +192,11 @@ def _rose(start: float, end: float, scales: Scales, kept: float) -> str:
     empty where it is no more than methods keep to."""
     held = scales.held or scales.motion
     gained, risen = (end - start) / held, scales.risen / held
-    before = f"the largest energy in motion {'without it' if scales.held else ''}".rstrip()
+    of = f"the largest energy in motion{' that the start explains' if scales.held else ''}, {held:.4g} J"
     if risen > max(LOST, scales.swing, gained):
-        return f"rose above the start by {_times(risen)} {before}, {held:.4g} J: wrong"
+        return f"rose by up to {scales.risen:.4g} J above the start, {_times(risen)} {of}: wrong"
     if gained > kept:
-        return f"gained {_times(gained)} {before}, {held:.4g} J: {_grade(gained, kept, max(LOST, kept))}"
+        return f"gained {end - start:.4g} J, {_times(gained)} {of}: {_grade(gained, kept, max(LOST, kept))}"
     return ""
 
 

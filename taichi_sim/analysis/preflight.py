@@ -4,13 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from taichi_sim.analysis import rebounds, strikes, turning
-from taichi_sim.analysis.accuracy import NEARER, Setup, sieves, single_precision, through
-from taichi_sim.analysis.element_rates import element_rates
+from taichi_sim.analysis import rebounds, sieves, strikes, turning
+from taichi_sim.analysis.accuracy import NEARER, Setup, single_precision
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
-from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.analysis.stability import (
-    REBOUNDS,
     coarsest_spring,
     overload_step,
     overloaded_spring,
@@ -49,17 +46,14 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
                 f' there {rounding:.2g} m apart; use precision "f64", softer springs, or build the scene nearer to the origin'
             )
     if setup.rule != "off":
-        yield from map(through, sieves(scene))
+        yield from map(sieves.through, sieves.sieves(scene))
         if (part := rebounds.returned(scene, setup.impacts)) > MOST_RETURNED:
             yield f"rebound: {rebounds.sentence(part)}; {rebounds.cure(scene)}"
     yield from _of_pins(scene, h)
     yield from _of_motors(scene, h)
     yield from _of_tearing(scene, method, h)
     if setup.rule != "off":
-        yield from _of_bounces(scene, method, h)
-        why, cure = strikes.unanswered(scene, method, h)
-        if why:
-            yield f"impacts: {why}; {cure}"
+        yield from _of_impacts(scene, method, h)
     if (turn := turning.at_start(scene, method, h)) is not None:
         if turn.rate(method, h) > MOST_TURNED:
             yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
@@ -99,23 +93,16 @@ def _of_tearing(scene: Scene, method: Method, h: float) -> Iterator[str]:
         )
 
 
-def _of_bounces(scene: Scene, method: Method, h: float) -> Iterator[str]:
-    """Of bodies of springs or elements that gain energy where they bounce; methods that go through each spring once say so
-    themselves."""
-    bounce = max_restitution(scene)
-    longest = next((part for least, part in REBOUNDS if bounce > least), np.inf)
-    if method.limit is None or method.single_pass or np.isinf(longest):
-        return
-    damped = method.limit.by_springs  # explicit: what is damped gains nothing
-    k = np.where(scene.damping > 0.0, 0.0, scene.stiffness) if damped else scene.stiffness
-    rate = float(largest_eigenvalue(scene, k)[0]) if scene.n_springs else 0.0
-    if not damped:
-        rate += element_rates(scene).elastic
-    if h * np.sqrt(rate) > longest:
+def _of_impacts(scene: Scene, method: Method, h: float) -> Iterator[str]:
+    """One sentence on impacts that give energy, with one step, where balls strike springs or bodies bounce."""
+    why, cure = strikes.unanswered(scene, method, h)
+    if why:
+        yield f"impacts: {why}; {cure}"
+    elif h > (bounced := strikes.bounce_step(scene, method)):
         yield (
-            f"bounce: bodies of springs or elements that bounce at a restitution of {bounce:g} may gain energy, because"
-            f" steps of {h:.3g} s by {method} do not resolve how fast their balls swing; take steps of"
-            f" {at_most(longest / np.sqrt(rate))} s"
+            f"bounce: bodies of springs or elements that bounce at a restitution of {max_restitution(scene):g} may gain energy,"
+            f" because steps of {h:.3g} s by {method} do not resolve how fast their balls swing; take steps of"
+            f" {at_most(bounced)} s"
         )
 
 

@@ -39,6 +39,7 @@ class Decay(NamedTuple):
     exact: float
     found: float
     hangs: bool = False
+    swings: bool = True
 
 
 def not_worked_out(scene: Scene) -> str:
@@ -82,7 +83,7 @@ def slow_decays(scene: Scene, method: Method, h: float, position: Floats) -> lis
         values = np.linalg.eigvals(step).astype(complex)
         rates = np.log(np.where(values == 0, 1e-300, values)) / h
         near = rates[np.argmin(np.abs(rates.real - exact.real) + np.abs(np.abs(rates.imag) - abs(exact.imag)))]
-        decays.append(Decay(omega / (2.0 * np.pi), -float(exact.real), -float(near.real), hangs))
+        decays.append(Decay(omega / (2.0 * np.pi), -float(exact.real), -float(near.real), hangs, d < 2.0 * omega))
     return decays
 
 

@@ -12,13 +12,24 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
+from taichi_sim.analysis.stability import REBOUNDS
 from taichi_sim.common.quantities import at_most
 from taichi_sim.geometry.graph import components
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.elements import ELEMENTS
+from taichi_sim.scene.materials import max_restitution
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["ANSWERED", "ANSWERED_BY_PASSES", "fastest_swing", "may_strike", "strike_step", "unanswered"]
+__all__ = [
+    "ANSWERED",
+    "ANSWERED_BY_PASSES",
+    "bounce_step",
+    "fastest_swing",
+    "may_strike",
+    "safe_step",
+    "strike_step",
+    "unanswered",
+]
 
 # Longest step times the largest frequency of balls on their springs, omega h, at which nets, cloth and jelly struck by balls of
 # 5 to 450 times the mass of theirs gained less than a tenth of the kinetic energy before it: by stages, and by two passes
@@ -38,6 +49,28 @@ def fastest_swing(scene: Scene) -> float:
     """A bound [1/s] of the frequencies of balls on their springs and elements, undamped."""
     springs = float(largest_eigenvalue(scene, scene.stiffness)[0]) if scene.n_springs else 0.0
     return float(np.sqrt(springs + element_rates(scene).elastic))
+
+
+def bounce_step(scene: Scene, method: Method) -> float:
+    """The longest step [s] in which bodies of springs or elements that bounce at the restitution of the scene gain no energy;
+    infinite where that is low, and for methods that go through each spring once, which say so themselves."""
+    bounce = max_restitution(scene)
+    longest = next((part for least, part in REBOUNDS if bounce > least), np.inf)
+    if method.limit is None or method.single_pass or np.isinf(longest):
+        return np.inf
+    damped = method.limit.by_springs  # explicit: what is damped gains nothing
+    k = np.where(scene.damping > 0.0, 0.0, scene.stiffness) if damped else scene.stiffness
+    rate = float(largest_eigenvalue(scene, k)[0]) if scene.n_springs else 0.0
+    if not damped:
+        rate += element_rates(scene).elastic
+    return float(longest / np.sqrt(rate)) if rate > 0.0 else np.inf
+
+
+def safe_step(scene: Scene, method: Method) -> float:
+    """The longest step [s] in which impacts on bodies that balls may strike give no energy, from the strikes or from the bodies'
+    own bounces; infinite where nothing strikes."""
+    struck = strike_step(scene, method)
+    return min(struck, bounce_step(scene, method)) if np.isfinite(struck) else np.inf
 
 
 def may_strike(scene: Scene) -> bool:
@@ -70,11 +103,15 @@ def _parts(scene: Scene) -> NDArray[np.int64]:
 
 def unanswered(scene: Scene, method: Method, h: float) -> tuple[str, str]:
     """Words on why impacts of balls give energy in steps of h seconds, and the cure; both empty where they do not."""
-    step = strike_step(scene, method)
-    if h <= step * (1.0 + 1e-9):
+    if h <= strike_step(scene, method) * (1.0 + 1e-9):
         return "", ""
+    step = safe_step(scene, method)
+    swings = ""
+    if step < strike_step(scene, method):
+        bounce = max_restitution(scene)
+        swings = f"; these do not resolve either how fast what bounces at a restitution of {bounce:g} swings"
     return (
         f"{method} solves springs and elements before it knows of contacts between balls, so impacts of balls on them may give"
-        f" energy in steps of {h:.3g} s",
+        f" energy in steps of {h:.3g} s{swings}",
         f"take steps of {at_most(step)} s, or {VERLET}",
     )

@@ -1,9 +1,8 @@
 """Numbers in words, in one form everywhere: value +- uncertainty, unit, and the source of the uncertainty."""
 
 import math
-from collections.abc import Sequence
 
-__all__ = ["EXACT", "ROUNDED", "at_most", "counted", "measured", "measures", "percent", "plain_number"]
+__all__ = ["EXACT", "ROUNDED", "at_most", "beside", "counted", "measured", "percent", "plain_number"]
 
 EXACT = 1e-12  # of a value: an uncertainty below that is rounding
 ROUNDED = "exact to rounding"
@@ -12,20 +11,20 @@ PREFIXED = ("m", "m/s", "N", "N s", "N/m", "J", "Pa", "s", "W")  # units that ta
 
 
 def measured(value: float, uncertainty: float | None = None, unit: str = "", source: str = "") -> str:
-    """A value with its uncertainty: `15.60 +- 0.09 kN (step)`; without one (None) three digits: `15.6 kN`."""
-    words = measures([value], [uncertainty], unit)[0]
+    """A value with its uncertainty: `15.60 +- 0.09 kN (step)`; without one (None) three digits: `15.6 kN`. The prefix of the
+    unit brings the larger of the two to 1 to 999."""
+    known = uncertainty is not None and math.isfinite(uncertainty)
+    largest = max(abs(value), uncertainty or 0.0) if known else float(f"{abs(value):.3g}")
+    power = _power(largest, unit)
+    scaled = None if uncertainty is None else uncertainty / 10.0**power
+    words = _one(value / 10.0**power, scaled, f"{PREFIXES[power]}{unit}")
     return f"{words} ({source})" if source and not words.endswith(ROUNDED) else words
 
 
-def measures(values: Sequence[float], uncertainties: Sequence[float | None], unit: str = "") -> list[str]:
-    """Several values of one quantity with the same prefix, that of the largest."""
-    known = [abs(value) for value in values if math.isfinite(value)]
-    largest = max(known, default=math.inf) or max([one for one in uncertainties if one], default=0.0)
-    power = _power(largest, unit)
-    return [
-        _one(value / 10.0**power, _scaled(u, power), f"{PREFIXES[power]}{unit}")
-        for value, u in zip(values, uncertainties)
-    ]
+def beside(value: float, other: float, unit: str) -> str:
+    """Another uncertainty of a value, with the value's prefix: one value has one unit."""
+    power = _power(abs(value), unit)
+    return _one(other / 10.0**power, None, f"{PREFIXES[power]}{unit}")
 
 
 def counted(number: int, one: str, many: str) -> str:
@@ -50,14 +49,10 @@ def plain_number(value: float, digits: int = 3) -> str:
     """A number of so many significant digits, without an exponent from 1e-4 to 1e5."""
     if not math.isfinite(value) or value == 0.0:
         return f"{value:g}"
-    places = digits - 1 - math.floor(math.log10(abs(value)) + 1e-12)
-    if not 1e-4 <= abs(value) < 1e5:
-        return f"{value:.{digits - 1}e}"
-    return f"{round(value, places):.{max(0, places)}f}"
-
-
-def _scaled(uncertainty: float | None, power: int) -> float | None:
-    return None if uncertainty is None else uncertainty / 10.0**power
+    rounded = float(short := f"{value:.{digits - 1}e}")  # 0.9997 to three digits is 1.00
+    if not 1e-4 <= abs(rounded) < 1e5:
+        return short
+    return f"{rounded:.{max(0, digits - 1 - math.floor(math.log10(abs(rounded)) + 1e-12))}f}"
 
 
 def _power(value: float, unit: str) -> int:

@@ -22,7 +22,7 @@ from taichi_sim.analysis.outcome import (
     of_energy,
     untouched,
 )
-from taichi_sim.common.quantities import ROUNDED, counted, measures, plain_number
+from taichi_sim.common.quantities import ROUNDED, counted, measured, plain_number
 from taichi_sim.device import compiling
 from taichi_sim.outputs.companion import StepError
 
@@ -131,8 +131,9 @@ class Summary:
         if self.contacts is not None and self.most_contacts:
             now, scales = self.contacts, self.scales
             lines.append(
-                f"contacts     {now.number} at the end, {self.most_contacts} at most; {now.iterations} iterations in each of"
-                f" {now.substeps} substeps, {now.searches} searches; largest speed {self.largest_speed:.3g} m/s"
+                f"contacts     {now.number} at the end, {self.most_contacts} at most;"
+                f" {counted(now.iterations, 'iteration', 'iterations')} in {_each(now.substeps)},"
+                f" {counted(now.searches, 'search', 'searches')}; largest speed {self.largest_speed:.3g} m/s"
                 f"{self.fastest and f', {self.fastest}'}"
             )
             squeezes, starts_deep = (False, False) if scales is None else (scales.squeezes, scales.starts_deep)
@@ -221,9 +222,9 @@ class Summary:
         width = max([12, *map(len, self.probes)])
         for name, values in self.probes.items():
             unit, source = self.units.get(name, ""), f" ({self._source()})" if off else ""
-            words = measures(values, off.get(name, (None,) * 3), unit)
+            words = [measured(*one, unit) for one in zip(values, off.get(name, (None,) * 3))]
             if all(one.endswith(ROUNDED) for one in words):
-                words, source = measures(values, (None,) * 3, unit), f" ({ROUNDED})"
+                words, source = [measured(value, unit=unit) for value in values], f" ({ROUNDED})"
             last, least, most = (one.replace(f", {ROUNDED}", f" ({ROUNDED})") for one in words)
             seen = "of all frames" if not off or source.endswith(f"({ROUNDED})") else "at and between frames"
             each = f"{last} in the last frame; least {least}, peak {most} {seen}"
@@ -242,7 +243,7 @@ class Summary:
             yield not_included(self.left_out)
         known = ""
         if not np.isnan(found.rms):
-            rms, largest = measures([found.rms, found.largest], [None, None], "m")
+            rms, largest = (measured(value, unit="m") for value in (found.rms, found.largest))
             known = f": positions at the end +- {rms} rms, +- {largest} at most"
         yield f"{'uncertainty':12} of {self._source()}, from {by}{known}"
         if self.between:
@@ -254,6 +255,10 @@ class Summary:
             )
         if found.hidden:
             yield f"{'':12} not known of the extremes of probes: {found.hidden}"
+
+
+def _each(substeps: int) -> str:
+    return f"each of {substeps} substeps" if substeps > 1 else "each step"
 
 
 def _shown(video: Path) -> str:
@@ -269,5 +274,5 @@ def _at_the_end(energy: float, off: float | None, source: str = STEP) -> str:
     """An energy without a prefix, as those beside it; off: the uncertainty by `source` [J], where it is known."""
     if off is None or np.isnan(off):
         return f"{energy:.6g} J"
-    value, _, said = measures([energy], [off])[0].partition(", ")
+    value, _, said = measured(energy, off).partition(", ")
     return f"{value} J ({said or source})"

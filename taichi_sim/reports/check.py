@@ -20,8 +20,8 @@ from taichi_sim.analysis.methods import (
 from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
 from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, soft_step, stability, without
-from taichi_sim.analysis.strikes import strike_step
-from taichi_sim.common.quantities import at_most
+from taichi_sim.analysis.strikes import safe_step
+from taichi_sim.common.quantities import at_most, measured
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, Settings, part_of_bound
 from taichi_sim.simulation.simulation import Simulation
@@ -85,7 +85,17 @@ def _decay(mode: Decay) -> str:
     exact, found = (rate if abs(rate) > NO_DECAY * mode.frequency else 0.0 for rate in (mode.exact, mode.found))
     if exact == found == 0.0:
         return f"{mode.frequency:.3g} Hz, is undamped, and this step adds no damping: good"
-    return f"{mode.frequency:.3g} Hz, decays by {exact:.3g} a second; with this step by {found:.3g}{': good' * good}"
+    swings = (
+        f"{mode.frequency:.3g} Hz" if mode.swings else f"{mode.frequency:.3g} Hz without damping, does not swing and"
+    )
+    return f"{swings}{',' * mode.swings} {_falls(exact)}; with this step {_falls(found)}{': good' * good}"
+
+
+def _falls(rate: float) -> str:
+    """Words on a rate of decay [1/s]."""
+    if rate == 0.0:
+        return "is undamped"
+    return f"{'falls to 1/e' if rate > 0.0 else 'grows e-fold'} in {measured(1.0 / abs(rate), unit='s')}"
 
 
 def lines(sim: Simulation) -> Iterator[str]:
@@ -137,10 +147,10 @@ def lines(sim: Simulation) -> Iterator[str]:
     if explicit:
         yield from _limited(scene, custom)
     else:
-        springs = f": springs are damped, and {XPBD} makes them too soft" if scene.n_springs else ""
         soft = soft_step(scene, XPBD)
-        above = f" in steps above {at_most(soft)} s" if np.isfinite(soft) else ""
-        yield f"{stiff}: any step is stable, but the error grows with it{springs}{above}"
+        above = f", and {XPBD} makes them too soft in steps above {at_most(soft)} s" if np.isfinite(soft) else ""
+        springs = f": springs are damped{above}" if scene.n_springs else ""
+        yield f"{stiff}: any step is stable, but the error grows with it{springs}"
     answered = [_strike_step(sim, method) for method in STIFF]
     if np.isfinite(answered).any():
         steps = ", ".join(at_most(step) for step in answered)
@@ -168,8 +178,8 @@ def _other_by_auto(sim: Simulation) -> Iterator[str]:
 
 
 def _strike_step(sim: Simulation, method: Method) -> float:
-    """The longest step [s] in which a method answers impacts of balls on springs and elements; infinite without contacts."""
-    return strike_step(sim.scene, method) if sim.setup.rule != "off" else np.inf
+    """The longest step [s] in which impacts of balls on springs and elements give no energy; infinite without contacts."""
+    return safe_step(sim.scene, method) if sim.setup.rule != "off" else np.inf
 
 
 def _limited(scene: Scene, custom: Declared) -> Iterator[str]:

@@ -17,7 +17,7 @@ from taichi_sim.forces.pointer import Pointer
 from taichi_sim.viewer.pace import Share
 from taichi_sim.viewer.player import Player, Rows
 from taichi_sim.viewer.web_panel import WebPanel
-from taichi_sim.viewer.web_server import HOST, PORT, WebServer
+from taichi_sim.viewer.web_server import ENDED, HOST, PORT, WebServer
 from taichi_sim.viewer.web_stage import COLOURS, WebStage
 
 __all__ = ["LiveView", "show"]
@@ -251,5 +251,5 @@ def _take_leave(server: WebServer, words: str, error: BaseException | None) -> N
         words = "It was stopped by Ctrl-C."
     elif error is not None:
         words = str(error) if isinstance(error, UnstableError) else "An error, which the program printed, ended it."
-    server.notify("The simulation ended", words)
+    server.notify(ENDED, words)
     time.sleep(GOODBYE)

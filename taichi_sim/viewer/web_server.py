@@ -13,7 +13,7 @@ from typing import Any
 
 from taichi_sim.common.errors import BackendError
 
-__all__ = ["HOST", "PORT", "WebServer"]
+__all__ = ["ENDED", "HOST", "PORT", "WebServer"]
 
 HOST, PORT, MOST_PORT = "127.0.0.1", 8080, 65535
 EVERYWHERE = ("0.0.0.0", "::", "")
@@ -21,6 +21,7 @@ ALONE = threading.Lock()  # held while functions and a console that all of the p
 SILENT = logging.getLogger(f"{__name__}.requests")  # of what strangers send, which is no error of this program
 SILENT.addHandler(logging.NullHandler())
 SILENT.propagate = False
+ENDED = "The simulation ended"  # the heading of the last words to pages
 PAGE = "?page"  # what viser's page is asked for by, from the one below
 # small, so that it comes at once: while kernels are compiled, other threads get little time, and viser's page stays empty
 WAITING = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>taichi_sim</title><link rel="icon" href="data:,">
@@ -28,9 +29,16 @@ WAITING = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>taichi
 taichi_sim is compiling its kernels, or reading the scene.<br>The scene will appear here by itself.</div>
 <script>
 const waiting = document.getElementById("waiting");
+// viser connects in a worker, and tries for ever when the program has gone: nothing comes any more after the last words
+const workers = [], Plain = window.Worker;
+window.Worker = class extends Plain {{ constructor(...all) {{ super(...all); workers.push(this); }} }};
 fetch("{PAGE}").then(answer => answer.text()).then(page => {{
   document.open(); document.write(page); document.close();
   document.body.append(waiting);
+  new MutationObserver((_, watch) => {{
+    if (!document.body.textContent.includes("{ENDED}")) return;
+    watch.disconnect(); workers.forEach(one => one.terminate());
+  }}).observe(document.body, {{ childList: true, subtree: true }});
   const timer = setInterval(() => {{
     if (!document.querySelector(".figures") && !document.body.innerText.includes("Please wait:")) return;
     clearInterval(timer); waiting.remove();
@@ -61,6 +69,7 @@ class WebServer:
         # a page may ask for a tunnel through which anybody on the internet could come
         self.viser.request_share_url = lambda *_: None
         self.viser.gui.configure_theme(show_share_button=False)
+        self.fitted: set[int] = set()  # clients whose view was placed
         self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
     @property

@@ -35,8 +35,9 @@ SIZES = 8  # of points
 FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
-PICTURE = (1280, 880)  # px, that a page may have, or more in width
-PANEL = 330  # px of that, which the panel covers at the right
+PICTURE = (1280, 880)  # px of a page whose shape is not known
+LEAST_PAGE, LARGEST_PAGE = 100, 20_000  # px
+PANEL = 330  # px of a page, which the panel covers at the right
 LIGHT = 0.5  # of what viser lights surfaces with beside its lamps, which alone makes colours pale
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
 
@@ -73,7 +74,7 @@ class WebStage:
         self._kept: tuple[Any, Any] = (None, None)  # springs of a frame, and those that are shown
         self._colourings = {colour: self._colouring(colour) for colour in COLOURS}
         self._own = to_bytes(self._parts.colour)
-        self._look(first, style.get("camera"))
+        self._look()
         self._choose()
         self._walls(first)
 
@@ -85,24 +86,41 @@ class WebStage:
     def _to_scene(self, x: Any) -> NDArray[np.float64]:
         return (np.asarray(x) * self._size + self._centre)[: self._first.dim]
 
-    def _look(self, first: Frame, camera: Any) -> None:
-        start = self.server.viser.initial_camera
+    def _look(self) -> None:
         self.scene.set_up_direction("+y")
-        free = (PICTURE[0] - PANEL, PICTURE[1])  # beside the panel
         self.scene.configure_environment_map(environment_intensity=LIGHT)
-        if first.dim == 3:
-            seen = Tracker(first, camera, free[0] / free[1]).first
+        seen, start = self._seen(*PICTURE), self.server.viser.initial_camera
+        start.up, start.fov = seen.up, float(np.radians(seen.fov))
+        start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()
+        self.server.viser.on_client_connect(self._fit)
+
+    def _seen(self, width: int, height: int) -> Camera:
+        """The camera of a page of so many px, which shows the scene beside the panel; as pictures are seen that wide."""
+        panel = min(PANEL, width // 2)
+        free = (width - panel, height)
+        camera = self._style.get("camera")
+        if self._first.dim == 3:
+            seen = Tracker(self._first, camera, free[0] / free[1]).first
         else:
-            low, scale = flat_view([first], free)
+            low, scale = flat_view([self._first], free)
             middle = np.array([*(low + np.array(free) / 2 / scale), 0.0])
             away = (0.0, 0.0, free[1] / 2 / scale / np.tan(np.radians(FLAT_FOV / 2)))
             seen = Camera(triple(middle + away), triple(middle), fov=FLAT_FOV)
-        if camera is None:
-            distance = np.linalg.norm(np.subtract(seen.eye, seen.target))
-            aside = PANEL / PICTURE[1] * np.tan(np.radians(seen.fov / 2)) * distance * seen.axes()[0]
-            seen = replace(seen, eye=triple(seen.eye + aside), target=triple(seen.target + aside))
-        start.up, start.fov = seen.up, float(np.radians(seen.fov))
-        start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()
+        if camera is not None:
+            return seen
+        distance = np.linalg.norm(np.subtract(seen.eye, seen.target))
+        aside = panel / height * np.tan(np.radians(seen.fov / 2)) * distance * seen.axes()[0]
+        return replace(seen, eye=triple(seen.eye + aside), target=triple(seen.target + aside))
+
+    def _fit(self, client: Any) -> None:
+        """Let a page that was just opened look as its own shape wants it. A page may say anything."""
+        if client.client_id in self.server.fitted:
+            return
+        self.server.fitted.add(client.client_id)
+        its, low, high = client.camera, LEAST_PAGE, LARGEST_PAGE
+        width, height = (int(np.clip(one, low, high)) for one in (its.image_width, its.image_height))
+        seen = self._seen(width, height)
+        its.position, its.look_at = self._to_page(np.array([seen.eye, seen.target]))
 
     def _colouring(self, colour: str) -> Colouring | None:
         reach = self._style.get("colour_range") if colour == self._style.get("colour") else None

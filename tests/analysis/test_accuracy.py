@@ -7,7 +7,7 @@ import pytest
 from physics_support import PRECISION, simulate
 
 import taichi_sim as ts
-from taichi_sim.analysis import accuracy, contact_loads
+from taichi_sim.analysis import accuracy, contact_loads, sieves
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET, XPBD
 from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy, untouched
 from taichi_sim.outputs import export
@@ -360,9 +360,9 @@ def test_cloth_lets_through_what_is_said_and_shows_what_is_said_of_the_rest():
             scene.add_collider(ts.Sphere(middle - [0, ball + 0.1, 0], ball, group="ball"))
     scene.set_balls(body=1)  # nothing but colliders to touch
     goes = [through for _, through in (*post, *blade)] + [False]
-    found = {int(s.what.split("[")[1].split("]")[0]) for s in accuracy.sieves(scene)}
+    found = {int(s.what.split("[")[1].split("]")[0]) for s in sieves.sieves(scene)}
     assert found == set(np.flatnonzero(goes))
-    assert {k for k in found if next(s for s in accuracy.sieves(scene) if f"[{k}]" in s.what).strain <= 0.0} == {0, 3}
+    assert {k for k in found if next(s for s in sieves.sieves(scene) if f"[{k}]" in s.what).strain <= 0.0} == {0, 3}
     with pytest.warns(
         UserWarning,
         match=r"colliders\[0\] \(capsule\), 0.013 m across, goes between the balls of cloth_\d: take balls at most",
@@ -392,13 +392,13 @@ def test_small_balls_go_through_cloth_unless_its_surface_collides():
         scene = ts.Scene(dim=3)
         ts.shapes.cloth(scene, resolution=(8, 8), radius=0.01, surface_collision=solid)
         ball = scene.add_balls([[0.5, 0.5, 0.5]], radius=0.02)
-        found = list(accuracy.sieves(scene))
+        found = list(sieves.sieves(scene))
         assert len(found) == (0 if solid else 1)
         if found:
             assert found[0].what == f"ball {ball[0]}"
-            assert "surface_collision" in accuracy.through(found[0])
+            assert "surface_collision" in sieves.through(found[0])
     scene.set_group(ball, "dust", [])
-    assert not list(accuracy.sieves(scene))
+    assert not list(sieves.sieves(scene))
 
 
 # While it runs and after ------------------------------------------------------------------------------------------------
@@ -529,7 +529,7 @@ def test_an_edge_comes_through_a_side_whose_balls_touch_its_two_faces(degrees):
         run[..., 0] * a[..., 1] - run[..., 1] * a[..., 0]
     )  # one lies to the right: positive under the edge
     fits = np.abs(apart - side) < 2e-3
-    assert accuracy.edge_dip(2 * half, ball, side) == pytest.approx(below[fits].max(), rel=0.02)
+    assert sieves.edge_dip(2 * half, ball, side) == pytest.approx(below[fits].max(), rel=0.02)
 
 
 @pytest.mark.once
@@ -542,12 +542,49 @@ def test_check_names_edges_that_come_through_cloth_and_the_radius_that_keeps_the
         hull += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
         scene.add_collider(ts.Mesh((corners, hull), name="brick"))
         ts.shapes.cloth(scene, size=(1, 1), resolution=(21, 21), surface_collision=True, **cloth)
-        return [one for one in accuracy._cloth(scene) if one.what.startswith("edges")]
+        return [one for one in sieves.findings(scene) if one[0].startswith("edges")]
 
-    table, brick = found()
-    assert (
-        table.what == "edges of colliders[0] (table), 90 degrees sharp, come through by up to 0.018 m between its balls"
-    )
-    assert brick.what.replace("[1] (brick)", "[0] (table)") == table.what
-    assert table.cure == "take a radius of 0.025 m, or, with this radius, balls at most 0.025 m apart"
+    (table, cure), (brick, _) = found()
+    assert table == "edges of colliders[0] (table), 90 degrees sharp, come through by up to 0.018 m between its balls"
+    assert brick.replace("[1] (brick)", "[0] (table)") == table
+    assert cure == "take a radius of 0.025 m, or, with this radius, balls at most 0.025 m apart"
     assert found(radius=0.025) == []
+
+
+def prism(width, height, length, turned=0.0):
+    """A wedge with its edge up, turned about that edge's direction [degrees], as a mesh."""
+    corners = np.array([(x, y, z) for z in (0, length) for x, y in ((-width / 2, 0), (width / 2, 0), (0, height))])
+    c, s = np.cos(np.radians(turned)), np.sin(np.radians(turned))
+    hull = [(0, 2, 1), (3, 4, 5), (0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5)]
+    return ts.Mesh((corners @ np.array([(c, s, 0), (-s, c, 0), (0, 0, 1)]), hull))
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("collider", "across", "reach"),
+    [
+        (prism(0.0003, 0.013, 0.7), 0.0003, 0.013),
+        (prism(0.0003, 0.013, 0.7, turned=31), 0.0003, 0.013),
+        (ts.Box((0.3, 0.3, 0.3), (0.013, 0.013, 0.7), rotation=(0, 0, 45)), 0.013, 0.013 * np.sqrt(2)),
+        (prism(0.06, 0.4, 0.7, turned=200), 0.06, 0.4),
+    ],
+    ids=["wedge", "leaning wedge", "rod", "hatchet"],
+)
+def test_no_more_of_a_solid_comes_through_cloth_than_there_is(collider, across, reach):
+    """Where all of it fits between the balls that is said, and nothing of its edges, whose depth without the solid's end is up to
+    10 m here."""
+    scene = ts.Scene(dim=3)
+    scene.add_collider(collider)
+    ts.shapes.cloth(scene, size=(1, 1), resolution=(14, 14), surface_collision=True)
+    span = 0.01, 1.5
+    edges = sieves._Edges.of(scene.colliders[0])
+    sharp = edges.angle < edges.angle.min() + 1e-6
+    assert edges.reach[sharp].min() == pytest.approx(reach, rel=1e-2)
+    assert edges.deepest(*span)[0] <= edges.reach.max() < 0.8
+    for goes in sieves.sieves(scene):
+        assert goes.width == pytest.approx(across, rel=1e-2)
+        assert not len(edges.fit(*span).angle)
+    told = [what for what, _ in sieves.findings(scene)]
+    assert [what.startswith("edges") for what in told] == [across > 0.05]
+    if across > 0.05:
+        assert 0.1 < figure(told[0], " m between") <= reach

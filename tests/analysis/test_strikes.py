@@ -43,6 +43,29 @@ def test_steps_too_long_to_answer_impacts_are_warned_of_with_the_step_that_does(
 
 
 @pytest.mark.once
+@pytest.mark.parametrize("bounce", [0.7, 0.95])
+@pytest.mark.parametrize("method", [IMPLICIT_EULER, TR_BDF2])
+def test_balls_that_strike_and_bounce_are_warned_of_once_with_one_step(method, bounce):
+    """The shorter one, which `check` advises; within it nothing is said."""
+    scene = struck_net(stiffness=2e4)
+    scene.add_material("default", restitution=bounce)
+
+    def said(h):
+        words = cautions(scene, Setup(method, h, "f64", "gauss_seidel"))
+        return [one for one in words if one.startswith(("impacts: ", "bounce: "))]
+
+    (words,) = said(1 / 120)
+    step = words.split("take steps of ")[1].split(" s")[0]
+    assert f"restitution of {bounce:g}" in words
+    assert said(float(step)) == []
+    assert len(said(3.0 * float(step))) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with simulate(scene, integrator=method.name, dt=1 / 120) as sim:
+            assert f"take steps of {step} s at most" in list(check.lines(sim))[-1]
+
+
+@pytest.mark.once
 def test_check_advises_the_step_that_it_warns_of():
     """Of the method in use, and of those that it compares; a step within it, and no contacts, are left to the user."""
     scene = struck_net()
@@ -116,5 +139,6 @@ def test_energy_above_the_start_is_said_by_a_warning_and_in_the_summary():
     (words,) = [str(w.message) for w in seen if "energy grew" in str(w.message)]
     assert "implicit_euler solves springs and elements before it knows of contacts between balls" in words
     assert words.endswith(" s, or verlet")
-    assert said.startswith("rose above the start by ")
+    assert said.startswith(f"rose by up to {max(totals) - start:.4g} J above the start, ")
+    assert " times the largest energy in motion that the start explains, " in said
     assert "wrong; implicit_euler solves springs" in said

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from taichi_sim.common.quantities import measured, measures, percent
+from taichi_sim.common.quantities import measured, percent
 
 pytestmark = pytest.mark.once
 
@@ -18,6 +18,10 @@ pytestmark = pytest.mark.once
         (0.7, 2e-15 * 0.7, "m", "700 mm, exact to rounding"),
         (-3.2, 40.0, "J", "0 +- 40 J"),
         (0.0, 2.6e-4, "m", "0 +- 300 µm"),
+        (6.95, None, "N", "6.95 N"),
+        (0.99965, None, "s", "1.00 s"),
+        (-999.7, math.nan, "Pa", "-1.00 kPa"),
+        (0.0, None, "N", "0 N"),
         (0.0, 0.0, "m", "0 m, exact to rounding"),
         (12.0, 0.95, "kg", "12.0 +- 0.9 kg"),
         (2.5e7, 3e5, "1/s", "(2.50 +- 0.03)e+07 1/s"),
@@ -30,8 +34,7 @@ def test_one_form(value, uncertainty, unit, words):
     assert measured(value, uncertainty, unit) == words
 
 
-def test_source_and_shared_prefix():
+def test_source_and_percent():
     assert measured(1500.0, 20.0, "N", "step") == "1.50 +- 0.02 kN (step)"
-    assert measures([900.0, 15604.0], [None, None], "N") == ["0.900 kN", "15.6 kN"]
     assert percent(0.0054) == "0.54 %"
     assert percent(0.01) == "1.0 %"

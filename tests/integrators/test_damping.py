@@ -12,6 +12,7 @@ from taichi_sim.analysis.damping import decay, lone, predicts_damping, softened,
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET
 from taichi_sim.analysis.slow_modes import slow_decays
 from taichi_sim.analysis.stability import stability
+from taichi_sim.common.quantities import measured
 from taichi_sim.reports import check
 
 pytestmark = pytest.mark.long_in("f32")
@@ -208,9 +209,11 @@ def test_slow_decays_are_what_a_run_shows():
     scene.set_springs(damping=scene.damping * 1e5)
     beyond = slow_decays(scene, VERLET, h, place)[0]
     assert beyond.found > 1.5 * beyond.exact
+    assert "without damping, does not swing and falls to 1/e in " in next(check.damping(scene, VERLET, h, place))
     assert "take tr_bdf2" in "".join(check.damping(scene, VERLET, h, place))
     said = "".join(check.damping(chain(0.2), IMPLICIT_EULER, h, place))
-    assert f"with this step by {slow_decays(chain(0.2), IMPLICIT_EULER, h, place)[0].found:.3g}" in said
+    found = slow_decays(chain(0.2), IMPLICIT_EULER, h, place)[0].found
+    assert f"with this step falls to 1/e in {measured(1.0 / found, unit='s')}" in said
     assert "omega^2 h / 2" in said
 
 

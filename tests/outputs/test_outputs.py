@@ -382,10 +382,10 @@ def test_the_summary_lines_up_probes_and_says_once_what_is_exact():
     for line in (
         "load.magnitude 9.00 N in the last frame; least 8.00 N, peak 9.50 N of all frames (exact to rounding)",
         "b.x            2.00 m in all frames (exact to rounding)",
-        "c.x            1.000 +- 0.010 m in the last frame; least 0.500 +- 0.010 m, peak 2.000 +- 0.010 m at and between frames"
+        "c.x            1.000 +- 0.010 m in the last frame; least 500 +- 10 mm, peak 2.000 +- 0.010 m at and between frames"
         " (step and rounding)",
-        "d.x            1.000 +- 0.010 m in the last frame; least 0.5 m (exact to rounding), peak 2.000 +- 0.010 m at and between"
-        " frames (step and rounding)",
+        "d.x            1.000 +- 0.010 m in the last frame; least 500 mm (exact to rounding), peak 2.000 +- 0.010 m at and"
+        " between frames (step and rounding)",
     ):
         assert line in lines
 

@@ -27,16 +27,17 @@ CAMERA |= {
 
 class Page:
     """A connection to `url`. It keeps the last value of each property by the name of its part, and counts bytes; slow: seconds
-    that it waits before it reads on."""
+    that it waits before it reads on; own: of the camera's fields. `camera` keeps where it is told to look from."""
 
-    def __init__(self, url: str, slow: float = 0.0) -> None:
+    def __init__(self, url: str, slow: float = 0.0, **own: Any) -> None:
         self.parts: dict[str, dict[str, Any]] = {}
         self.said: list[dict[str, Any]] = []  # messages for whoever looks at it
         self.kinds: set[str] = set()  # of messages so far
+        self.camera: dict[str, tuple[float, float, float]] = {}  # by the kind of message, the start left out
         self.bytes, self.slow = 0, slow
         address = url.replace("http://", "ws://").rstrip("/")
         self.socket = connect(address, subprotocols=[f"viser-v{version}"], max_size=None, compression=None)
-        self.say("ViewerCameraMessage", **CAMERA)
+        self.say("ViewerCameraMessage", **CAMERA | own)
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
 
@@ -56,6 +57,8 @@ class Page:
         whole = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(message[16 : 16 + size]))
         for one in whole["messages"]:
             self.kinds.add(one["type"])
+            if one["type"].startswith("SetCamera") and not one.get("initial"):
+                self.camera[one["type"]] = one.get("position") or one.get("look_at")
             if one["type"] == "NotificationShowMessage":
                 self.said.append(one["props"])
             name = one.get("name") or one.get("uuid")

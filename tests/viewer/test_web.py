@@ -280,6 +280,33 @@ def test_the_panel_covers_nothing_of_the_scene(dim):
     assert px.max() < 1280 - 330
 
 
+def test_each_page_sees_the_scene_as_large_as_its_own_shape_allows():
+    """A flat disc of balls, seen from the camera's own direction, in wide pages and in a tall one, once for each page."""
+    turn = np.linspace(0, 2 * np.pi, 40)
+    right, up, _ = Camera((0.0, 0.0, 1.0), (0.0, 0.0, 0.0)).axes()
+    x = np.cos(turn)[:, None] * right + np.sin(turn)[:, None] * up
+    frame = Frame(0.0, x, 0 * x, np.full(40, 0.02))
+    with WebServer(port=0) as server:
+        stage = WebStage(server, frame, {"camera": None})
+        WebStage(server, frame, {})
+        start = server.viser.initial_camera
+        for width, height in ((1900, 700), (700, 1000), (0, -5)):
+            with support.Page(server.url, image_width=width, image_height=height) as page:
+                page.until(lambda page=page: len(page.camera) > 1)
+                eye, target = page.camera["SetCameraPositionMessage"], page.camera["SetCameraLookAtMessage"]
+            if width == 0:
+                assert np.all(np.isfinite([eye, target]))
+                continue
+            camera = Camera(tuple(eye), tuple(target), tuple(start.up), float(np.degrees(start.fov)))
+            right, up, forward = ((stage._to_page(x) - eye) @ camera.axes().T).T
+            scale = height / 2 / np.tan(start.fov / 2)
+            across, high = scale * right / forward + width / 2, scale * up / forward
+            free = width - min(330, width / 2)
+            assert across.min() > 0
+            assert across.max() < free
+            assert max(np.ptp(across) / free, np.ptp(high) / height) > 0.75
+
+
 def test_a_scene_of_any_size_and_anywhere_is_as_large_and_in_the_middle():
     for unit, far in ((1e-4, 0.0), (1.0, 5e3), (2e6, -1e7)):
         rng = np.random.default_rng(3)
