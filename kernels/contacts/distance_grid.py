@@ -6,7 +6,16 @@ lowest corner of the grid [m], the width of a cell [m], by which part of it `win
 """
 
 from taichi_sim.kernels.contacts.closest_points import on_triangle
-from taichi_sim.kernels.contacts.triangle_tree import from_triangle, is_within, least_square, nearer, signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import (
+    FAR,
+    INSIDE,
+    above_and_beyond,
+    from_triangle,
+    is_within,
+    least_square,
+    nearer,
+    signed_distance,
+)
 
 from taichi_sim.device.engine import ti
 
@@ -192,15 +201,16 @@ def thin_out(triangle: ti.template(), listed: ti.template(), away: ti.template()
     for e in range(PARTS * PARTS * PARTS):
         step = ti.Vector([e % PARTS, e // PARTS % PARTS, e // (PARTS * PARTS)])
         q = p + part * (ti.cast(step, float) - 0.5 * (PARTS - 1))
-        closest = unmarked(listed[c, 0])
-        r, feature = from_triangle(triangle, closest, q)
-        for s in range(1, number):
-            r, feature, closest = nearer(triangle, unmarked(listed[c, s]), q, r, feature, closest)
-        reach = (r.norm() + 2.0 * HALF_DIAGONAL * part) * (1.0 + SLACK)
+        square, r, feature, closest = FAR + 0.0 * q[0], 0.0 * q, INSIDE, 0
+        for s in range(number):
+            square, r, feature, closest = nearer(triangle, unmarked(listed[c, s]), q, square, r, feature, closest)
+        reach = (ti.sqrt(square) + 2.0 * HALF_DIAGONAL * part) * (1.0 + SLACK)
         for s in range(number):
             t = listed[c, s]
-            if t >= 0 and least_square(triangle, t, q) < reach * reach:
-                listed[c, s] = -1 - t
+            if t >= 0:
+                above, beyond = above_and_beyond(triangle, t, q)
+                if least_square(above, beyond) < reach * reach:
+                    listed[c, s] = -1 - t
     kept = 0
     for s in range(number):
         if listed[c, s] < 0:

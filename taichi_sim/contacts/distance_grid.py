@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.memory import available
-from taichi_sim.contacts.triangle_tree import CORNERS, NO_TREE, TriangleTree, triangle_tree
+from taichi_sim.contacts.triangle_tree import NO_TREE, TriangleTree, triangle_tree
 from taichi_sim.device.backend import has_wide_numbers
 from taichi_sim.device.engine import ti
 from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.kernels.contacts.colliders import CUT
-from taichi_sim.kernels.contacts.triangle_tree import NORMALS
+from taichi_sim.kernels.contacts.triangle_tree import CORNERS, INSIDE, OUTWARD
 from taichi_sim.scene.colliders import MESH, Collider
 from taichi_sim.scene.scene import Scene
 
@@ -97,7 +97,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
         return array if wide else _on_device(array)
 
     corner, frame = (
-        given(tree.triangles[:, :CORNERS].reshape(-1, 3) - origin),
+        given(tree.triangles[:, CORNERS:].reshape(-1, 3) - origin),
         given(np.array([*(start - origin), *lengths])),
     )
     closest, best = given(np.full(shape, -1), np.int32), given(np.full(shape, np.inf))
@@ -115,7 +115,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     tree = _facing_out(collider, tree, closest, value, start, cell)
     near = given(np.full(shape, -1), np.int32)
     boxes, triangles = tree.boxes - np.tile(origin, 2), tree.triangles.copy()
-    triangles[:, :CORNERS] -= np.tile(origin, 3)
+    triangles[:, CORNERS:] -= np.tile(origin, 3)
     tables = given(boxes.ravel()), given(tree.links.ravel(), np.int32), given(triangles.ravel())
     grids = given(value), given(closest, np.int32)  # kept by name: a device may still read what is passed and forgotten
     loops.find_inexact(*grids, *tables, near, frame)
@@ -189,10 +189,12 @@ def _facing_out(
     k, j, i = np.nonzero(np.abs(value) < cell)
     number = closest[k, j, i]
     at = tree.triangles[number]
-    above = np.sum((low + cell * np.stack([i, j, k], axis=1) - at[:, :3]) * at[:, NORMALS : NORMALS + 3], axis=1)
+    above = np.sum(
+        (low + cell * np.stack([i, j, k], axis=1) - at[:, CORNERS : CORNERS + 3]) * at[:, 3 * INSIDE : OUTWARD], axis=1
+    )
     wrong = np.bincount(part[number], np.sign(above) * np.sign(value[k, j, i]), minlength=part.max() + 1) < 0
-    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, NORMALS:]
-    return tree._replace(triangles=np.concatenate([tree.triangles[:, :NORMALS], normals], axis=1))
+    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, :OUTWARD]
+    return tree._replace(triangles=np.concatenate([normals, tree.triangles[:, OUTWARD:]], axis=1))
 
 
 def _on_host(array: Any) -> NDArray[Any]:
