@@ -180,7 +180,7 @@ def mesh_distance(colliders: ti.template(), shape, p, touch, exact):
         begin, number, centre = cell_of(colliders, row, inner - ti.cast(cell, float))
         if number > 0:
             out = (g - ti.cast(cell, float) - centre).norm() / shape.inverse_cell
-            d, n = distance_by_list(colliders.triangle, colliders.listed, colliders.away, begin, begin + number, p, out)
+            d, n = distance_by_list(colliders.triangle, colliders.listed, begin, begin + number, p, out)
         else:
             d, n = distance_by_tree(colliders, shape, begin, p)
     else:

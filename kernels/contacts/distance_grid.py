@@ -6,7 +6,20 @@ lowest corner of the grid [m], the width of a cell [m], by which part of it `win
 """
 
 from taichi_sim.kernels.contacts.closest_points import on_triangle
-from taichi_sim.kernels.contacts.triangle_tree import from_triangle, is_within, least_square, nearer, signed_distance
+from taichi_sim.kernels.contacts.triangle_tree import (
+    AT_CORNER,
+    CORNERS,
+    FAR,
+    INSIDE,
+    WIDTH,
+    above_and_beyond,
+    entry,
+    from_triangle,
+    is_within,
+    least_square,
+    nearer,
+    signed_distance,
+)
 
 from taichi_sim.device.engine import ti
 
@@ -187,26 +200,70 @@ def insert(listed: ti.template(), away: ti.template(), c, number, t, d):
 @ti.func
 def thin_out(triangle: ti.template(), listed: ti.template(), away: ti.template(), c, number, p, width):
     """Keep of the triangles in row c, so many, those that may be closest to some point of one of the parts of a cell, this wide
-    [m] around p. Returns how many."""
+    [m] around p, and of those that are at the same distance one. Returns how many."""
     part = width / PARTS
     for e in range(PARTS * PARTS * PARTS):
         step = ti.Vector([e % PARTS, e // PARTS % PARTS, e // (PARTS * PARTS)])
         q = p + part * (ti.cast(step, float) - 0.5 * (PARTS - 1))
-        closest = unmarked(listed[c, 0])
-        r, feature = from_triangle(triangle, closest, q)
-        for s in range(1, number):
-            r, feature, closest = nearer(triangle, unmarked(listed[c, s]), q, r, feature, closest)
-        reach = (r.norm() + 2.0 * HALF_DIAGONAL * part) * (1.0 + SLACK)
+        square, r, feature, closest = FAR + 0.0 * q[0], 0.0 * q, INSIDE, 0
+        for s in range(number):
+            square, r, feature, closest = nearer(triangle, unmarked(listed[c, s]), q, square, r, feature, closest)
+        reach = (ti.sqrt(square) + 2.0 * HALF_DIAGONAL * part) * (1.0 + SLACK)
         for s in range(number):
             t = listed[c, s]
-            if t >= 0 and least_square(triangle, t, q) < reach * reach:
-                listed[c, s] = -1 - t
+            if t >= 0:
+                above, beyond = above_and_beyond(triangle, t, q)
+                if least_square(above, beyond) < reach * reach:
+                    listed[c, s] = -1 - t
+    for s in range(number):
+        if listed[c, s] < 0 and is_double(triangle, listed, c, s, number, p, width):
+            listed[c, s] = unmarked(listed[c, s])
     kept = 0
     for s in range(number):
         if listed[c, s] < 0:
             listed[c, kept], away[c, kept] = unmarked(listed[c, s]), away[c, s]
             kept += 1
     return kept
+
+
+@ti.func
+def is_double(triangle: ti.template(), listed: ti.template(), c, s, number, p, width):
+    """True if triangle s of row c, so many, is nowhere in a cell, this wide [m] around p, nearer than another one to keep: all of
+    the cell is closest to the same side or corner of it, which is one of the other, too."""
+    at, feature = WIDTH * unmarked(listed[c, s]) + CORNERS, only_feature(triangle, unmarked(listed[c, s]), p, width)
+    one, two = feature - AT_CORNER, feature - AT_CORNER
+    if feature < AT_CORNER:
+        one, two = (feature + 1) % 3, (feature + 2) % 3
+    double = False
+    if feature != INSIDE:
+        for o in range(number):
+            if o != s and listed[c, o] < 0 and not double:
+                other = unmarked(listed[c, o])
+                double = has_corner(triangle, other, entry(triangle, at + 3 * one))
+                double = double and has_corner(triangle, other, entry(triangle, at + 3 * two))
+    return double
+
+
+@ti.func
+def only_feature(triangle: ti.template(), t, p, width):
+    """The feature of triangle t that is closest to all of a cell, this wide [m] around p, if that is a side or a corner; else
+    INSIDE. What is closest to one of these is convex: it holds the cell if it holds its corners."""
+    only = INSIDE
+    for e in range(8):
+        step = ti.Vector([e & 1, e >> 1 & 1, e >> 2 & 1])
+        _, feature = from_triangle(triangle, t, p + width * (ti.cast(step, float) - 0.5))
+        only = ti.select(e == 0 or feature == only, feature, INSIDE)
+    return only
+
+
+@ti.func
+def has_corner(triangle: ti.template(), t, place):
+    """True if a corner of triangle t is this place."""
+    yes = False
+    for k in ti.static(range(3)):
+        r = entry(triangle, WIDTH * t + CORNERS + 3 * k) - place
+        yes = yes or r.dot(r) == 0.0
+    return yes
 
 
 @ti.func

@@ -7,10 +7,12 @@ from taichi_sim.kernels.contacts.closest_points import on_triangle
 
 from taichi_sim.device.engine import ti
 
-# numbers of a triangle: its corners, the directions in its plane away from it at the sides across from them, and from NORMALS on
-# the normals of its inside, its corners and its sides
-WIDTH, OUTWARD, NORMALS = 39, 9, 18
-INSIDE, CORNERS, SIDES = 0, 1, 4  # features that have normals, or the first of them
+# numbers of a triangle: the normals of its features, the directions in its plane away from it at its sides, its height over the
+# first one, and its corners. What rules it out lies together, from the normal of its inside to its first corner
+WIDTH, OUTWARD, HEIGHT, CORNERS = 40, 21, 30, 31
+# features: the sides, from that across from the first corner on, the corners, the inside
+AT_SIDE, AT_CORNER, INSIDE = 0, 3, 6
+FAR = 1e38  # m^2, the square of the distance of a triangle that is not yet known
 
 
 @ti.func
@@ -25,18 +27,19 @@ def feature_of(weight):
     feature, zeros = INSIDE, 0
     for k in ti.static(range(3)):
         if weight[k] == 0.0:
-            feature = SIDES + k
+            feature = AT_SIDE + k
             zeros += 1
     for k in ti.static(range(3)):
         if zeros == 2 and weight[k] != 0.0:
-            feature = CORNERS + k
+            feature = AT_CORNER + k
     return feature
 
 
 @ti.func
 def from_triangle(triangle: ti.template(), t, p):
     """The way from the closest point of triangle t to p, and the feature on which that lies."""
-    a, b, c = entry(triangle, WIDTH * t), entry(triangle, WIDTH * t + 3), entry(triangle, WIDTH * t + 6)
+    at = WIDTH * t + CORNERS
+    a, b, c = entry(triangle, at), entry(triangle, at + 3), entry(triangle, at + 6)
     w = on_triangle(p, a, b, c)
     return (p - a) - (w[1] * (b - a) + w[2] * (c - a)), feature_of(w)
 
@@ -49,62 +52,73 @@ def is_within(box: ti.template(), k, p, square):
 
 
 @ti.func
-def least_square(triangle: ti.template(), t, p):
-    """Square of a distance [m] from p than which triangle t is no nearer: by its plane and the side that p is farthest beyond."""
-    above = entry(triangle, WIDTH * t + NORMALS).dot(p - entry(triangle, WIDTH * t))
-    beyond = 0.0 * above
-    for k in ti.static(range(3)):
-        end = entry(triangle, WIDTH * t + 3 * ((k + 1) % 3))
-        beyond = ti.max(beyond, entry(triangle, WIDTH * t + OUTWARD + 3 * k).dot(p - end))
-    return above * above + beyond * beyond
+def above_and_beyond(triangle: ti.template(), t, p):
+    """Height [m] of p over the plane of triangle t, and how far [m] p is beyond the side that it is farthest beyond: negative if
+    what is closest to it lies inside the triangle, 0 if that has no area."""
+    q, at = p - entry(triangle, WIDTH * t + CORNERS), WIDTH * t + OUTWARD
+    above = entry(triangle, WIDTH * t + 3 * INSIDE).dot(q)
+    first = entry(triangle, at).dot(q) - triangle[WIDTH * t + HEIGHT]
+    return above, ti.max(first, entry(triangle, at + 3).dot(q), entry(triangle, at + 6).dot(q))
 
 
 @ti.func
-def nearer(triangle: ti.template(), t, p, r, feature, closest):
-    """The way to p from the closer one of triangle t and of the one known so far; its feature, and its number."""
-    if least_square(triangle, t, p) < r.dot(r):
-        q, on = from_triangle(triangle, t, p)
-        if q.dot(q) < r.dot(r):
-            r, feature, closest = q, on, t
-    return r, feature, closest
+def least_square(above, beyond):
+    """Square of a distance [m] than which a triangle is no nearer, see `above_and_beyond`."""
+    return above * above + ti.max(beyond, 0.0) ** 2
+
+
+@ti.func
+def nearer(triangle: ti.template(), t, p, square, r, feature, closest):
+    """The closer one to p of triangle t and of the one known so far: the square of its distance [m^2], the way from it to p, its
+    feature, and its number."""
+    above, beyond = above_and_beyond(triangle, t, p)
+    least = least_square(above, beyond)
+    if least < square:
+        q, on = above * entry(triangle, WIDTH * t + 3 * INSIDE), INSIDE
+        if beyond >= 0.0:
+            q, on = from_triangle(triangle, t, p)
+            least = q.dot(q)
+        if least < square:
+            square, r, feature, closest = least, q, on, t
+    return square, r, feature, closest
 
 
 @ti.func
 def signed_distance(box: ti.template(), link: ti.template(), triangle: ti.template(), first, last, near, p):
     """Signed distance [m] of p from the mesh whose nodes are `first` to before `last`, the direction out of it, and the closest
     triangle. near: a triangle that is not far."""
-    r, feature = from_triangle(triangle, near, p)
-    closest = near
-    k = first
-    while k < last:
-        if is_within(box, k, p, r.dot(r)):
-            for t in range(link[3 * k + 1], link[3 * k + 2]):
-                r, feature, closest = nearer(triangle, t, p, r, feature, closest)
-            k += 1
-        else:
-            k = link[3 * k]
+    square, r, feature, closest = FAR + 0.0 * p[0], 0.0 * p, INSIDE, near
+    k, begin, end = first, near, near + 1
+    while begin < end:
+        for t in range(begin, end):
+            square, r, feature, closest = nearer(triangle, t, p, square, r, feature, closest)
+        begin = end
+        while begin >= end and k < last:  # the next leaf that comes nearer
+            if is_within(box, k, p, square):
+                begin, end = link[3 * k + 1], link[3 * k + 2]
+                k += 1
+            else:
+                k = link[3 * k]
     d, n = signed(triangle, closest, feature, r)
     return d, n, closest
 
 
 @ti.func
-def distance_by_list(triangle: ti.template(), listed: ti.template(), away: ti.template(), first, last, p, out):
+def distance_by_list(triangle: ti.template(), listed: ti.template(), first, last, p, out):
     """Signed distance [m] of p from the mesh, and the direction out of it, where only the triangles listed from `first` to before
     `last` can be closest, in the order of their distances `away` [m] from a place that is `out` [m] from p."""
-    closest = listed[first]
-    r, feature = from_triangle(triangle, closest, p)
-    e = first + 1
-    while e < last and away[e] < r.norm() + out:  # no triangle is nearer to p than that
-        r, feature, closest = nearer(triangle, listed[e], p, r, feature, closest)
+    square, r, feature, closest = FAR + 0.0 * p[0], 0.0 * p, INSIDE, 0
+    e = first
+    while e < last and ti.max(listed[e].away - out, 0.0) ** 2 < square:  # no triangle is nearer to p than that
+        square, r, feature, closest = nearer(triangle, listed[e].triangle, p, square, r, feature, closest)
         e += 1
-    d, n = signed(triangle, closest, feature, r)
-    return d, n
+    return signed(triangle, closest, feature, r)
 
 
 @ti.func
 def signed(triangle: ti.template(), closest, feature, r):
     """The length of the way r from a feature of the closest triangle, negative inside, and the direction out of the mesh."""
-    n = entry(triangle, WIDTH * closest + NORMALS + 3 * feature)
+    n = entry(triangle, WIDTH * closest + 3 * feature)
     d = r.dot(n)
     # inside r is along n, but for rounding, which tilts what is close to a large triangle; one without an area has no n
     if feature != INSIDE or n.dot(n) == 0.0:

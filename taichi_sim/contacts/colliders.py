@@ -106,14 +106,16 @@ class Colliders:
             )
             exact = [g.exact.ravel() + np.where(g.exact.ravel() < 0, -t, c) for g, t, c in zip(grids, triangles, cells)]
             cell = [g.cells_from(*first).ravel() for g, *first in zip(grids, cells, triangles, lists)]
-            listed = [g.listed + t for g, t in zip(grids, triangles)]
             link = [(g.tree.links + np.array([k, t, t])).ravel() for g, k, t in zip(grids, nodes, triangles)]
-            tables = (exact, cell, listed, link)
             # as in DistanceGrid, of all one behind the other: exact (nodes of grids), cell (2 cells), listed; link (3 nodes)
-            self.exact, self.cell, self.listed, self.link = (fields.integers(np.concatenate(one)) for one in tables)
-            self.away = fields.reals(np.concatenate([g.away for g in grids]))  # m, as in DistanceGrid
+            self.exact, self.cell, self.link = (fields.integers(np.concatenate(one)) for one in (exact, cell, link))
+            entries: dict[str, NDArray] = {  # side by side, because both are asked at once; away [m]
+                "triangle": np.concatenate([g.listed + t for g, t in zip(grids, triangles)]),
+                "away": np.concatenate([g.away for g in grids]),
+            }
+            self.listed = fields.table({"triangle": ti.i32, "away": real}, len(entries["away"]), entries)
             self.box = fields.reals(np.concatenate([g.tree.boxes.ravel() for g in grids]))  # m, (6 nodes)
-            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (39 triangles)
+            self.triangle = fields.reals(np.concatenate([g.tree.triangles.ravel() for g in grids]))  # (40 triangles)
         self.shape = fields.table(columns, self.count, data)
 
     @ti.func

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.memory import available
-from taichi_sim.contacts.triangle_tree import CORNERS, NO_TREE, TriangleTree, triangle_tree
+from taichi_sim.contacts.triangle_tree import NO_TREE, TriangleTree, triangle_tree
 from taichi_sim.device.backend import has_wide_numbers
 from taichi_sim.device.engine import ti
 from taichi_sim.geometry.graph import components
 from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.kernels.contacts.colliders import CUT
-from taichi_sim.kernels.contacts.triangle_tree import NORMALS
+from taichi_sim.kernels.contacts.triangle_tree import CORNERS, INSIDE, OUTWARD
 from taichi_sim.scene.colliders import MESH, Collider
 from taichi_sim.scene.scene import Scene
 
@@ -26,10 +26,11 @@ CORNER_BYTES = 32  # while a grid is made; what it keeps is less than half of th
 BORDER = 2  # cells around what comes near the mesh
 FEW_TRIANGLES = 8  # in the list of a cell: where there are more it is cut into eight
 MOST_TRIANGLES = 32  # in that of a smallest cell: where there are more the tree is faster
+ROOM = 128  # triangles at most of which the list of a smallest cell is made
 LEVELS = 2  # of cells, each half as wide as those before
 MOST_CUT = 1 << 16  # cells of a level, the most crowded ones: their lists take some 50 MB
 LIST_BYTES = 100  # of a corner, while there are fewer than eighths
-AT_ONCE = 1 << 15  # cells whose lists are made together
+AT_ONCE = 1 << 13  # cells whose lists are made together
 NEAR = 2.0  # cells: beyond, what lies between corners is as good as they are
 INEXACT = 0.02  # of a cell, and of the smallest diameter: the largest error of what lies between corners
 BETWEEN = 0.44  # of a cell: no place in one is farther from those that are looked at
@@ -97,7 +98,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
         return array if wide else _on_device(array)
 
     corner, frame = (
-        given(tree.triangles[:, :CORNERS].reshape(-1, 3) - origin),
+        given(tree.triangles[:, CORNERS:].reshape(-1, 3) - origin),
         given(np.array([*(start - origin), *lengths])),
     )
     closest, best = given(np.full(shape, -1), np.int32), given(np.full(shape, np.inf))
@@ -115,7 +116,7 @@ def distance_grid(collider: Collider, reach: float, finest: float) -> DistanceGr
     tree = _facing_out(collider, tree, closest, value, start, cell)
     near = given(np.full(shape, -1), np.int32)
     boxes, triangles = tree.boxes - np.tile(origin, 2), tree.triangles.copy()
-    triangles[:, :CORNERS] -= np.tile(origin, 3)
+    triangles[:, CORNERS:] -= np.tile(origin, 3)
     tables = given(boxes.ravel()), given(tree.links.ravel(), np.int32), given(triangles.ravel())
     grids = given(value), given(closest, np.int32)  # kept by name: a device may still read what is passed and forgotten
     loops.find_inexact(*grids, *tables, near, frame)
@@ -138,7 +139,9 @@ def _cells(
     begin, total = 0, len(near)  # of lists, of rows
     for level in range(LEVELS):
         part, few = 0.5**level, FEW_TRIANGLES
-        number, listed, away = _lists(centre, near, tables, frame, part, given)
+        number, listed, away = _lists(
+            centre, near, tables, frame, part, MOST_TRIANGLES if level + 1 < LEVELS else ROOM, given
+        )
         if len(number) > MOST_CUT:
             few = max(few, int(np.partition(number, -MOST_CUT - 1)[-MOST_CUT - 1]))
         cut = (number > few) & (level + 1 < LEVELS)
@@ -157,21 +160,21 @@ def _cells(
 
 
 def _lists(
-    centre: NDArray, near: NDArray, tables: tuple, frame: Any, part: float, given: Any
+    centre: NDArray, near: NDArray, tables: tuple, frame: Any, part: float, room: int, given: Any
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
-    """Numbers of triangles, see loops.list_triangles, and, one cell after the other, those of cells with MOST_TRIANGLES or less,
-    and their distances [m]. Puts the closest ones into `near`."""
+    """Numbers of triangles, see loops.list_triangles, of which a row has this room, and, one cell after the other, those of
+    cells with MOST_TRIANGLES or less, and their distances [m]. Puts the closest ones into `near`."""
     number, lists, distances = np.zeros(len(near), np.int32), [np.zeros(0, np.int32)], [np.zeros(0)]
     for k in range(0, len(near), AT_ONCE):
         some = slice(k, k + AT_ONCE)
-        room = np.zeros((len(near[some]), MOST_TRIANGLES))
-        listed, away, places = given(room, np.int32), given(room.copy()), given(centre[some])
+        rows = np.zeros((len(near[some]), room))
+        listed, away, places = given(rows, np.int32), given(rows.copy()), given(centre[some])
         closest, found = given(near[some], np.int32), given(number[some], np.int32)
         loops.list_triangles(places, *tables, closest, found, listed, away, frame, part)
         ti.sync()
         near[some], number[some] = _on_host(closest), _on_host(found)
         fits = (number[some] <= MOST_TRIANGLES)[:, None]
-        kept = fits & (np.arange(MOST_TRIANGLES) < number[some][:, None])
+        kept = fits & (np.arange(room) < number[some][:, None])
         lists.append(_on_host(listed)[kept])
         distances.append(_on_host(away)[kept].astype(np.float64))
     return number, np.concatenate(lists), np.concatenate(distances)
@@ -189,10 +192,12 @@ def _facing_out(
     k, j, i = np.nonzero(np.abs(value) < cell)
     number = closest[k, j, i]
     at = tree.triangles[number]
-    above = np.sum((low + cell * np.stack([i, j, k], axis=1) - at[:, :3]) * at[:, NORMALS : NORMALS + 3], axis=1)
+    above = np.sum(
+        (low + cell * np.stack([i, j, k], axis=1) - at[:, CORNERS : CORNERS + 3]) * at[:, 3 * INSIDE : OUTWARD], axis=1
+    )
     wrong = np.bincount(part[number], np.sign(above) * np.sign(value[k, j, i]), minlength=part.max() + 1) < 0
-    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, NORMALS:]
-    return tree._replace(triangles=np.concatenate([tree.triangles[:, :NORMALS], normals], axis=1))
+    normals = np.where(wrong[part][:, None], -1.0, 1.0) * tree.triangles[:, :OUTWARD]
+    return tree._replace(triangles=np.concatenate([normals, tree.triangles[:, OUTWARD:]], axis=1))
 
 
 def _on_host(array: Any) -> NDArray[Any]:

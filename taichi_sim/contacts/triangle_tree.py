@@ -7,20 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.geometry.mesh import Surface
-from taichi_sim.kernels.contacts.triangle_tree import WIDTH
+from taichi_sim.kernels.contacts.triangle_tree import CORNERS, OUTWARD, WIDTH
 
 __all__ = ["TriangleTree", "triangle_tree"]
 
 LEAF = 2  # triangles at most
-CORNERS = 9  # the first numbers of a triangle
 
 Floats = NDArray[np.float64]
 
 
 class TriangleTree(NamedTuple):
     """Boxes (nodes, 6) [m], lower and upper corner, a node before what lies in it; links (nodes, 3): the node that follows all of
-    that, and of a leaf its first triangle and the one after its last; triangles (t, WIDTH): corners [m], then unit vectors: away
-    from it in its plane at the sides across from them, and the normals of inside, corners, and these sides. order (t,): the
+    that, and of a leaf its first triangle and the one after its last; triangles (t, WIDTH): unit
+    vectors, the normals of the sides across from its corners, of these, and of its inside, and those away from it in its plane at
+    these sides; its height over the first side [m]; its corners [m]. order (t,): the
     number of each in the mesh."""
 
     boxes: Floats
@@ -56,7 +56,15 @@ def triangle_tree(surface: Surface) -> TriangleTree:
             links[place, 1], links[place, 2] = begin[:-1], begin[1:]
         place = (place[:, None] + np.array([1, 1 + below])).ravel()
     order = order[once]
-    table = np.concatenate([corners, outward(corners), normals(surface)], axis=1).reshape(-1, WIDTH)[order]
+    away = outward(corners)
+    height = np.sum(away[:, 0] * (corners[:, 1] - corners[:, 0]), axis=1)
+    parts = (
+        normals(surface).reshape(-1, OUTWARD),
+        away.reshape(-1, 9),
+        height[:, None],
+        corners.reshape(-1, WIDTH - CORNERS),
+    )
+    table = np.concatenate(parts, axis=1)[order]
     return TriangleTree(boxes, links, table, order)
 
 
@@ -82,7 +90,7 @@ def outward(corners: Floats) -> Floats:
 
 
 def normals(surface: Surface) -> Floats:
-    """Unit normals (t, 7, 3) of the inside of each triangle, of its corners and of the sides across from them. A point lies
+    """Unit normals (t, 7, 3) of the sides across from the corners of each triangle, of these, and of its inside. A point lies
     outside where the normal of what is nearest to it faces it: that of a corner is the mean of its triangles' by their angles, of
     a side that of both (Baerentzen and Aanaes, Signed distance computation using the angle weighted pseudonormal, 2005)."""
     t = surface.triangles
@@ -104,7 +112,7 @@ def normals(surface: Surface) -> Floats:
         one, two = _unit(side[:, k - 1]), _unit(side[:, k - 2])
         angle = np.arccos(np.clip(-np.sum(one * two, axis=1), -1.0, 1.0))
         np.add.at(at, t[:, k], angle[:, None] * face)
-    return np.concatenate([face[:, None], _unit(at)[t], _unit(around)[edge]], axis=1)
+    return np.concatenate([_unit(around)[edge], _unit(at)[t], face[:, None]], axis=1)
 
 
 def _unit(vectors: Floats) -> Floats:

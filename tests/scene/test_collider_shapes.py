@@ -117,8 +117,7 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
     @ti.kernel
     def measure_in_cells(
         triangle: ti.types.ndarray(),
-        listed: ti.types.ndarray(ti.i32, 1),
-        away: ti.types.ndarray(),
+        listed: ti.template(),
         row: ti.types.ndarray(ti.i32, 2),
         out: ti.types.ndarray(),
         p: ti.types.ndarray(),
@@ -126,7 +125,7 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
     ):
         for i in range(p.shape[0]):
             at = ti.Vector([p[i, 0], p[i, 1], p[i, 2]])
-            d[i], _ = distance_by_list(triangle, listed, away, row[i, 0], row[i, 0] + row[i, 1], at, out[i])
+            d[i], _ = distance_by_list(triangle, listed, row[i, 0], row[i, 0] + row[i, 1], at, out[i])
 
     angle = np.arange(14) * 2 * np.pi / 14
     out = [0.01, 0.01, 0.4, 0.41, 0.44, 0.43], [0.0, 0.02, 0.02, 0.5, 0.5, 0.0]
@@ -164,10 +163,12 @@ def test_a_tree_tells_the_distance_and_the_side_of_a_mesh():
         out, listed, row = out[row[:, 1] > 0], listed[row[:, 1] > 0], row[row[:, 1] > 0].astype(np.int32)
         assert len(listed) > 200
         few = np.zeros(len(listed), dtype=real)
+        columns = {"triangle": ti.i32, "away": ti.f32 if PRECISION == "f32" else ti.f64}
+        lists = ti.Struct.field(columns, shape=len(grid.away))
+        lists.from_numpy({"triangle": grid.listed, "away": grid.away.astype(real)})
         measure_in_cells(
             np.ascontiguousarray(grid.tree[2].ravel(), real),
-            grid.listed,
-            grid.away.astype(real),
+            lists,
             row,
             out.astype(real),
             np.ascontiguousarray(p[listed], dtype=real),
