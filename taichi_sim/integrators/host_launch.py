@@ -37,14 +37,14 @@ class Launched:
     _solve, compare = solve_stage, compare_potentials
 
     def __init__(self, solver: Any) -> None:
-        self.solver, self.holds = solver, solver.holds
+        self.solver, self.holds, self.deflates = solver, solver.holds, solver.deflates
         self.searches: dict[tuple[int, int], int] = {}  # by stage and iteration: how many it took last
         self.doubtful_stages: set[int] = set()  # whose guess was in doubt before
         for launch, names in (
-            (self._run, ("start_search", "search", "evaluate", "judge_potentials", "release")),
+            (self._run, ("deflate", "start_search", "search", "evaluate", "judge_potentials", "release")),
             (self._run_stage, ("end",)),
             (self._run_step, ("move", "linearise")),
-            (self._ask, ("foremost", "report")),
+            (self._ask, ("foremost", "any_heavy", "report")),
         ):
             for name in names:
                 setattr(self, name, partial(launch, name))
@@ -91,6 +91,8 @@ class Launched:
         if taken:
             batch = max(FIRST_SEARCHES, taken // MORE_PART)
         else:
+            if self.deflates:
+                launched.deflate()
             launched.start_search()
         for _ in range(batch):
             launched.search()

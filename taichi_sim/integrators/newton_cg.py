@@ -11,6 +11,7 @@ from taichi_sim.device.model import Model, incidence, phase_type
 from taichi_sim.forces.element import Element
 from taichi_sim.forces.springs import Springs
 from taichi_sim.integrators.bodies import Bodies, FreeBodies
+from taichi_sim.integrators.deflation import Deflation
 from taichi_sim.integrators.free_turns import FreeTurns
 from taichi_sim.integrators.held_balls import HeldBalls
 from taichi_sim.integrators.implicit_elements import StageElements
@@ -91,7 +92,7 @@ class StageSolver(Verdicts):
         self.wide = fields.wide
         self.tally = fields.table(dict.fromkeys(TALLY, self.wide), 1)
         self.has_springs, self.has_elements = springs is not None, len(elements) > 0
-        self.holds = self.rubs = self.reports = False
+        self.holds = self.rubs = self.reports = self.deflates = False
         self.held: Any = None
         if not self.has_springs and not self.has_elements:
             return
@@ -126,6 +127,9 @@ class StageSolver(Verdicts):
         self.part = self.bodies.columns(columns)
         self.free = FreeBodies(model, self.bodies, fields)
         self.reports = self.holds and self.held.reports and self.free.some
+        self.deflates = self.holds and self.free.some and self.order == 1
+        if self.deflates:
+            self.deflation = Deflation(self, fields)
         self.turns_freely = not any(isinstance(one, Element) for one in elements)  # those of users may have a torque
         if self.turns_freely:
             self.turns = FreeTurns(model, self.bodies, self.free, fields)
@@ -462,6 +466,8 @@ class StageSolver(Verdicts):
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             self.begin_body(b)
+            if ti.static(self.deflates):
+                self.deflation.forget(b)
 
     @ti.func
     def _shift(self, i):
@@ -477,25 +483,61 @@ class StageSolver(Verdicts):
         if ti.static(self.levels.active):
             self.levels.solve(self.sum)
         self.bodies.each_part(self._aim, ())
-        self.bodies.join((self.part.residual,))
+        self._join_conditioned()
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == READY:
+                if ti.static(self.deflates):
+                    self.deflation.aim(b)
                 self._count_iteration(b)
                 self.next_search(b)
+        self.bodies.each_part(self._turn, ())
+
+    @ti.func
+    def deflate(self):
+        """Have the next searches of heavy bodies leave no momentum."""
+        self.deflation.find()
+
+    @ti.func
+    def multiply(self):
+        """product.sum = A product.p."""
+        self._sum_springs(self.product, 0.0)
+        if ti.static(self.inflated):
+            self.gas.multiply(self.product.p, self.product.sum)
+        if ti.static(self.has_elements):
+            self.elements.multiply(self.product.p, self.product.sum)
 
     @ti.func
     def _aim(self, c):
-        """Part c of the first p, and of its product with the residual."""
+        """Part c of the first change, and of its preconditioned residual."""
         if self.number[self.bodies.part[c].body].phase == READY:
-            rz = ti.cast(0.0, self.wide)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 self.dv[i] = ti.Vector.zero(float, self.dim)
-                p = self._conditioned(i)
-                self.product.p[i] = padded_blocks.pad(p, self.dim)
-                rz += ti.cast(self.sum[i].dot(p), self.wide)
-            self.part[c].residual = rz
+                if ti.static(self.deflates):
+                    self.dv[i] = self.deflation.way(i)
+            self._precondition(c)
+
+    @ti.func
+    def _precondition(self, c):
+        """Preconditioned residual of part c, and the product of both."""
+        rz, reach = ti.cast(0.0, self.wide), ti.Vector.zero(self.wide, self.dim)
+        for k in range(self.bodies.part[c].count):
+            i = self.bodies.ball(c, k)
+            z = self._conditioned(i)
+            self.product.sum[i] = padded_blocks.pad(z, self.dim)
+            rz += ti.cast(self.sum[i].dot(z), self.wide)
+            if ti.static(self.deflates):
+                reach += self.deflation.reach(i, z)
+        self.part[c].residual = rz
+        if ti.static(self.deflates):
+            self.deflation.part[c].sum = reach
+
+    @ti.func
+    def _join_conditioned(self):
+        self.bodies.join((self.part.residual,))
+        if ti.static(self.deflates):
+            self.bodies.join((self.deflation.part.sum,))
 
     @ti.func
     def _conditioned(self, i):
@@ -513,6 +555,10 @@ class StageSolver(Verdicts):
         self.number[b].residual_before = self.number[b].residual
         self.number[b].moved_before = self.number[b].moved
         self.number[b].moved = 0.0
+        if ti.static(self.deflates):
+            self.number[b].moved = self.number[b].shifted
+            self.number[b].shifted = 0.0
+        self.number[b].step = 0.0
         self.number[b].rz = self.bodies.total(self.part.residual, b)
         self.number[b].iterations += 1.0
         self.number[b].searches = 0.0
@@ -521,11 +567,7 @@ class StageSolver(Verdicts):
     @ti.func
     def search(self):
         """The best change along p; the next p conjugate to it."""
-        self._sum_springs(self.product, 0.0)
-        if ti.static(self.inflated):
-            self.gas.multiply(self.product.p, self.product.sum)
-        if ti.static(self.has_elements):
-            self.elements.multiply(self.product.p, self.product.sum)
+        self.multiply()
         self.bodies.each_part(self._project, ())
         self.bodies.join((self.part.descent, self.part.curvature))
         ti.loop_config(serialize=ti.static(self.bodies.few))
@@ -536,10 +578,12 @@ class StageSolver(Verdicts):
         if ti.static(self.levels.active):
             self.levels.solve(self.sum)
             self.bodies.each_part(self._condition, ())
-        self.bodies.join((self.part.residual,))
+        self._join_conditioned()
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == SEARCHING:
+                if ti.static(self.deflates):
+                    self.deflation.aim(b)
                 self._count_search(b)
                 self.next_search(b)
         self.bodies.each_part(self._turn, ())
@@ -601,15 +645,8 @@ class StageSolver(Verdicts):
 
     @ti.func
     def _condition(self, c):
-        """Preconditioned residual of part c, and the product of both."""
         if self.number[self.bodies.part[c].body].phase == SEARCHING:
-            rz = ti.cast(0.0, self.wide)
-            for k in range(self.bodies.part[c].count):
-                i = self.bodies.ball(c, k)
-                z = self._conditioned(i)
-                self.product.sum[i] = padded_blocks.pad(z, self.dim)
-                rz += ti.cast(self.sum[i].dot(z), self.wide)
-            self.part[c].residual = rz
+            self._precondition(c)
 
     @ti.func
     def _turn(self, c):
@@ -619,7 +656,10 @@ class StageSolver(Verdicts):
             step = ti.cast(self.number[b].step, float)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
-                self.product.p[i] = self.product.sum[i] + step * self.product.p[i]
+                p = self.product.sum[i] + step * self.product.p[i]
+                if ti.static(self.deflates):
+                    p -= padded_blocks.pad(self.deflation.way(i), self.dim)
+                self.product.p[i] = p
 
     @ti.func
     def release(self):

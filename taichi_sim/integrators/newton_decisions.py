@@ -30,6 +30,8 @@ MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
 DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
 FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
+LOOSE_TERM = 0.3  # the same, where many iterations have been made on surfaces: more is lost
+HEAVY_ITERATIONS = 3  # of Newton's method, after which they are many
 GAIN_WINDOW = 0.1  # part of the iterations so far, the last ones, whose gains tell what is left
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
@@ -40,6 +42,9 @@ FINER_TARGET = 0.3  # of a squared residual that still gave too much
 LEFT_OUT = 0.01  # of what surfaces bear, of momentum
 WRONG_FRICTION = 0.05  # of the same
 MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
+NOT_MOVED = 1e300  # in place of a change, where there was none since that was renewed
+EARLY_RELEASES = 4  # of those, before the stage is solved
+EARLY_RESIDUAL = 0.1  # squared residual, of the scale, at which they begin
 MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
 
 # What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
@@ -71,8 +76,8 @@ NUMBERS = (
     "passes",  # over springs, in this stage
 )
 # where balls may be held: so many; how often what holds them was renewed; impulses that surfaces bear, and that are left out
-# [N s]
-HELD_NUMBERS = ("near", "releases", "borne", "lack")
+# [N s]; what deflation gained of the next change
+HELD_NUMBERS = ("near", "releases", "borne", "lack", "shifted")
 TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
 
 # Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
@@ -88,6 +93,9 @@ def solve_stage(self, s, stage):
     phase = BEGUN
     while phase != SOLVED:
         if phase == READY:
+            if ti.static(self.deflates):
+                if self.any_heavy() == 1:
+                    self.deflate()
             self.start_search()
         elif phase == SEARCHING:
             self.search()
@@ -135,6 +143,8 @@ class Verdicts:
     rounding: float
     finest: float
     holds: bool  # whether surfaces may hold balls
+    deflates: bool  # whether they may hold those of free bodies, by implicit Euler
+    free: Any  # a FreeBodies
 
     @ti.func
     def begin_body(self, b):
@@ -142,13 +152,14 @@ class Verdicts:
         self.number[b].iterations = 0.0
         self.number[b].passes = 0.0
         self.number[b].searches = 0.0
-        self.number[b].moved = 1e300
+        self.number[b].moved = NOT_MOVED
         self.number[b].flies = 0.0
         self.number[b].change = 1.0
         self.number[b].part = 1.0
         self.number[b].phase = BEGUN
         if ti.static(self.holds):
             self.number[b].releases = 0.0
+            self.number[b].shifted = 0.0
 
     @ti.func
     def judge_guess(self, b):
@@ -186,6 +197,9 @@ class Verdicts:
         self.number[b].target = scale * self.number[b].allowed
         if self.unsolved(b) == 1:
             self.number[b].phase = READY
+            if ti.static(self.holds and self.order == 1):
+                if self.releases_early(b):
+                    self.number[b].phase = HELD
         elif ti.max(scale, before) > OLD_BLOCKS * ti.min(scale, before) and self.number[b].iterations < MOST_ITERATIONS:
             self.number[b].phase = WITHDRAWN
         else:
@@ -195,18 +209,31 @@ class Verdicts:
                     self.number[b].phase = HELD
 
     @ti.func
+    def releases_early(self, b):
+        """True if what surfaces do to body b is looked at before it is solved: to solve for what they do not do is in vain."""
+        few = self.number[b].near > 0.0 and self.number[b].releases < EARLY_RELEASES
+        small = self.number[b].residual < EARLY_RESIDUAL * self.number[b].scale
+        return few and small and self.number[b].moved < NOT_MOVED
+
+    @ti.func
     def amiss(self, b, pull, wrong):
         """True if surfaces have impulses of this size [J] on body b that they cannot give, or lack them, more than the residual
-        may be, or friction that they cannot give [N s], of a part of what they bear."""
-        return pull > self.number[b].target or wrong > WRONG_FRICTION * self.number[b].borne
+        may be, or of an unsolved one is, or friction that they cannot give [N s], of a part of what they bear."""
+        most = self.number[b].target
+        if ti.static(self.order == 1):
+            most = ti.max(most, ti.min(self.number[b].residual, self.number[b].moved))
+        return pull > most or wrong > WRONG_FRICTION * self.number[b].borne
 
     @ti.func
     def judge_pull(self, b, pull, wrong):
         """The phase of body b: where impulses of surfaces are `amiss`, it goes on with others."""
         self.number[b].phase = SOLVED
+        if ti.static(self.order == 1):
+            if self.unsolved(b) == 1:
+                self.number[b].phase = READY
         if self.amiss(b, pull, wrong):
             self.number[b].phase = WITHDRAWN
-            self.number[b].moved = 1e300
+            self.number[b].moved = NOT_MOVED
             self.number[b].releases += 1.0
 
     @ti.func
@@ -256,6 +283,23 @@ class Verdicts:
         else:
             phase = ti.cast(self.number[0].phase, ti.i32)
         return phase
+
+    @ti.func
+    def heavy(self, b):
+        """True if the next search of body b is one of many on surfaces, which are to leave it no momentum."""
+        number = self.number[b]
+        many = number.iterations >= HEAVY_ITERATIONS and number.near > 0.0
+        return many and number.phase == READY and self.free.mass[b] > 0.0
+
+    @ti.func
+    def any_heavy(self):
+        """1 if any body is `heavy`, else 0."""
+        found = 0
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            if self.heavy(b):
+                ti.atomic_max(found, 1)
+        return found
 
     @ti.func
     def report(self):
@@ -308,7 +352,11 @@ class Verdicts:
 
         What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952).
         """
-        goal = ti.max(FORCING_TERM**2 * self.number[b].moved, 0.1 * self.number[b].target)
+        forcing = FORCING_TERM
+        if ti.static(self.holds and self.order == 1):
+            if self.number[b].near > 0.0 and self.number[b].iterations > HEAVY_ITERATIONS:
+                forcing = LOOSE_TERM
+        goal = ti.max(forcing**2 * self.number[b].moved, 0.1 * self.number[b].target)
         searches = self.number[b].searches
         more = (self.number[b].gain > goal or searches < 2.0) and self.number[b].rz > 0.0
         return ti.cast(more and searches < MOST_SEARCHES, ti.i32)
