@@ -491,7 +491,7 @@ class StageSolver(Verdicts):
                     self.deflation.aim(b)
                 self._count_iteration(b)
                 self.next_search(b)
-        self.bodies.each_part(self._turn, ())
+        self.bodies.each_part(self._set_out, ())
 
     @ti.func
     def deflate(self):
@@ -558,7 +558,6 @@ class StageSolver(Verdicts):
         if ti.static(self.deflates):
             self.number[b].moved = self.number[b].shifted
             self.number[b].shifted = 0.0
-        self.number[b].step = 0.0
         self.number[b].rz = self.bodies.total(self.part.residual, b)
         self.number[b].iterations += 1.0
         self.number[b].searches = 0.0
@@ -649,6 +648,15 @@ class StageSolver(Verdicts):
             self._precondition(c)
 
     @ti.func
+    def _set_out(self, c):
+        """Part c of the first p. Others may be amid a search, where launches run ahead."""
+        b = self.bodies.part[c].body
+        if self.number[b].phase == SEARCHING and self.number[b].searches == 0.0:
+            for k in range(self.bodies.part[c].count):
+                i = self.bodies.ball(c, k)
+                self.product.p[i] = self._conjugate(i)
+
+    @ti.func
     def _turn(self, c):
         """Part c of the next p."""
         b = self.bodies.part[c].body
@@ -656,10 +664,15 @@ class StageSolver(Verdicts):
             step = ti.cast(self.number[b].step, float)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
-                p = self.product.sum[i] + step * self.product.p[i]
-                if ti.static(self.deflates):
-                    p -= padded_blocks.pad(self.deflation.way(i), self.dim)
-                self.product.p[i] = p
+                self.product.p[i] = self._conjugate(i) + step * self.product.p[i]
+
+    @ti.func
+    def _conjugate(self, i):
+        """Preconditioned residual of ball i, without what deflation has found."""
+        z = self.product.sum[i]
+        if ti.static(self.deflates):
+            z -= padded_blocks.pad(self.deflation.way(i), self.dim)
+        return z
 
     @ti.func
     def release(self):
