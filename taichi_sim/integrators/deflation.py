@@ -42,17 +42,18 @@ class Deflation:
 
     @ti.func
     def find(self):
-        """Find A T and G of heavy bodies, and take out of their residuals what T reaches."""
+        """Find A T and G of heavy bodies, and take out of their residuals what T reaches. Others may be amid a search."""
         for axis in ti.static(range(self.dim)):
             for i in range(self.solver.n):
-                self.solver.product.p[i] = padded_blocks.pad(
-                    self._along(i, ti.Vector.unit(self.dim, axis, float)), self.dim
-                )
+                if self.solver.heavy(self.bodies.of(i)):
+                    column = self._along(i, ti.Vector.unit(self.dim, axis, float))
+                    self.solver.product.p[i] = padded_blocks.pad(column, self.dim)
             self.solver.multiply()
             for i in range(self.solver.n):
-                r = self._along(i, padded_blocks.cut(self.solver.product.sum[i], self.dim))
-                for a in ti.static(range(self.dim)):
-                    self.carried[i][a, axis] = r[a]
+                if self.solver.heavy(self.bodies.of(i)):
+                    r = self._along(i, padded_blocks.cut(self.solver.product.sum[i], self.dim))
+                    for a in ti.static(range(self.dim)):
+                        self.carried[i][a, axis] = r[a]
         self.bodies.each_part(self._sum, ())
         self.bodies.join((self.part.gram, self.part.sum))
         ti.loop_config(serialize=ti.static(self.bodies.few))

@@ -7,6 +7,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.integrators.newton_decisions import (
     CODES,
     DOUBTFUL,
+    HEAVY_ITERATIONS,
     READY,
     SEARCHING,
     SOLVED,
@@ -61,7 +62,7 @@ class Launched:
         launched.begin(s, stage)
         launched.move(s)
         launched.linearise(s)
-        iteration, taken, phase = 0, 0, DOUBTFUL if stage in self.doubtful_stages else READY
+        iteration, starts, taken, phase = 0, 0, 0, DOUBTFUL if stage in self.doubtful_stages else READY
         while phase != SOLVED:
             if phase == DOUBTFUL:
                 self.doubtful_stages.add(stage)
@@ -71,8 +72,11 @@ class Launched:
                 launched.linearise(s)
             if phase == TRIED:
                 launched.compare(s)
+            elif phase == SEARCHING:
+                self._search(stage, iteration, taken, starts)
             else:
-                self._search(stage, iteration, taken if phase == SEARCHING else 0)
+                self._search(stage, iteration, 0, starts)
+                starts += 1
             launched.move(s)
             launched.evaluate()
             if self.holds:
@@ -83,15 +87,16 @@ class Launched:
                 iteration += 1
         launched.end(stage)
 
-    def _search(self, stage: int, iteration: int, taken: int) -> None:
-        """Launch as many iterations of conjugate gradients as may be needed; `taken` have been made."""
+    def _search(self, stage: int, iteration: int, taken: int, starts: int) -> None:
+        """Launch as many iterations of conjugate gradients as may be needed; `taken` have been made.
+        starts: so many were started before."""
         launched: Any = self
         known = self.searches.get((stage, iteration))
         batch = FIRST_SEARCHES if known is None else known + max(1, known // SPARE_PART)
         if taken:
             batch = max(FIRST_SEARCHES, taken // MORE_PART)
         else:
-            if self.deflates:
+            if self.deflates and starts >= HEAVY_ITERATIONS:  # until then no body has made so many
                 launched.deflate()
             launched.start_search()
         for _ in range(batch):

@@ -9,6 +9,7 @@ __all__ = [
     "CODES",
     "DOUBTFUL",
     "FOUND",
+    "HEAVY_ITERATIONS",
     "HELD",
     "HELD_NUMBERS",
     "MISSED_TOLERANCES",
