@@ -55,6 +55,7 @@ SUMS = (
         "descent",
         "curvature",
     ),
+    "onward",  # of the residual after a change, by that change
     *("given", "taken", "moving"),  # J: by the residual, by the method; kinetic energy in the frame of the body
 )
 HELD_SUMS = (
@@ -356,7 +357,7 @@ class StageSolver(Verdicts):
         """Sizes where changes that are found were added, or a part taken back. Blocks stay as they were: they
         condition well enough, and the residual keeps its measure. See `go_on`."""
         self.bodies.each_part(self._measure_residual, ())
-        self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
+        self.bodies.join((self.part.residual, self.part.force, self.part.kinetic, self.part.onward))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.holds):
             self.bodies.join((self.part.borne, self.part.lack))
@@ -364,12 +365,13 @@ class StageSolver(Verdicts):
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:
                 self._note_sizes(b, ti.static(self.order == 1))
+                self.number[b].onward = self.bodies.total(self.part.onward, b)
                 self.judge_change(b)
 
     @ti.func
     def _measure_residual(self, c):
         if self.number[self.bodies.part[c].body].phase == FOUND:
-            sizes = ti.Vector.zero(self.wide, 3)
+            sizes, onward = ti.Vector.zero(self.wide, 3), ti.cast(0.0, self.wide)
             for k in range(self.bodies.part[c].count):
                 i = self.bodies.ball(c, k)
                 r = padded_blocks.cut(self.product.sum[i], self.dim)
@@ -377,6 +379,8 @@ class StageSolver(Verdicts):
                 w = self.model.inverse_mass[i]
                 if w > 0.0:
                     sizes += self._sizes(i, kept, r, w, self.inverse_block[i])
+                    onward += ti.cast(kept.dot(self.dv[i]), self.wide)
+            self.part[c].onward = onward
             self.part[c].residual, self.part[c].force, self.part[c].kinetic = sizes[0], sizes[1], sizes[2]
             self._measure_work(c)
 

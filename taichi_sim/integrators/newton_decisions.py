@@ -35,6 +35,7 @@ LOOSE_TERM = 0.3  # the same, where many iterations have been made on surfaces: 
 HEAVY_ITERATIONS = 3  # of Newton's method, after which they are many
 GAIN_WINDOW = 0.1  # part of the iterations so far, the last ones, whose gains tell what is left
 LOCAL_ERROR_PART = 0.05  # what a solution may add to it
+STEEPEST_RISE = 0.5  # of the descent with which a change starts: a potential that rises by less at its end fell in all
 SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
 GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
 ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
@@ -69,7 +70,8 @@ NUMBERS = (
         "residual_before",
         "moved",
         "moved_before",
-    ),  # before the change; of the change of this iteration and the last one
+        "onward",
+    ),  # before the change; of the change of this iteration and the last one; what is left of it that leads on
     *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last ones gained; see `search`
     *("allowed", "target"),  # part of the scale that the residual may become, and that
     *("iterations", "searches"),  # so many of either kind
@@ -380,11 +382,12 @@ class Verdicts:
     def larger(self, b):
         """1 if the change may have gone too far, so that half of it is worth a try, else 0: it raised the residual. It did
         where it raised the potential too. The residual alone may rise where a stiff body rotates. Such changes may follow each
-        other without end, so late ones may not raise the potential."""
-        larger = (
-            self.number[b].residual > self.number[b].residual_before or self.number[b].iterations > PATIENT_ITERATIONS
-        )
-        return ti.cast(larger and self.number[b].tries < MOST_TRIES, ti.i32)
+        other without end, so late ones may not raise the potential. Along a whole change its slope starts at -`moved` and ends at
+        -`onward`. What the matrix does not know grows at least evenly, so that the mean slope is at most that of both."""
+        number = self.number[b]
+        larger = number.residual > number.residual_before or number.iterations > PATIENT_ITERATIONS
+        falls = number.part == 1.0 and number.onward > -STEEPEST_RISE * number.moved
+        return ti.cast(larger and not falls and number.tries < MOST_TRIES, ti.i32)
 
     @ti.func
     def note_work(self, b):
