@@ -4,7 +4,8 @@ from functools import partial
 from typing import Any
 
 from taichi_sim.device.engine import ti
-from taichi_sim.integrators.newton_decisions import (
+from taichi_sim.integrators.newton_decisions import compare_potentials, solve_stage
+from taichi_sim.integrators.newton_numbers import (
     CODES,
     DOUBTFUL,
     HEAVY_ITERATIONS,
@@ -13,8 +14,6 @@ from taichi_sim.integrators.newton_decisions import (
     SOLVED,
     TRIED,
     WITHDRAWN,
-    compare_potentials,
-    solve_stage,
 )
 from taichi_sim.kernels import reductions
 

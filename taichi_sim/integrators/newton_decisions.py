@@ -1,91 +1,41 @@
-"""The order in which an implicit stage is solved, what its numbers say about how to go on, and how well it was solved."""
-
-from typing import Any
+"""The order in which an implicit stage is solved, and what its numbers say about how to go on."""
 
 from taichi_sim.device.engine import ti
-
-__all__ = [
-    "BEGUN",
-    "CODES",
-    "DOUBTFUL",
-    "FOUND",
-    "HEAVY_ITERATIONS",
-    "HELD",
-    "HELD_NUMBERS",
-    "MISSED_TOLERANCES",
-    "NUMBERS",
-    "READY",
-    "SEARCHING",
-    "SOLVED",
-    "TALLY",
-    "TRIED",
-    "WITHDRAWN",
-    "Verdicts",
-    "compare_potentials",
-    "solve_stage",
-]
-
-MOST_ITERATIONS = 100  # of Newton's method
-PATIENT_ITERATIONS = 20  # after which none may raise the potential
-MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
-MOST_TRIES = 8  # halvings of a change that went too far
-DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
-FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
-LOOSE_TERM = 0.3  # the same, where many iterations have been made on surfaces: more is lost
-HEAVY_ITERATIONS = 3  # of Newton's method, after which they are many
-GAIN_WINDOW = 0.1  # part of the iterations so far, the last ones, whose gains tell what is left
-LOCAL_ERROR_PART = 0.05  # what a solution may add to it
-STEEPEST_RISE = 0.5  # of the descent with which a change starts: a potential that rises by less at its end fell in all
-SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
-GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
-ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
-OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
-FINER_TARGET = 0.3  # of a squared residual that still gave too much
-LEFT_OUT = 0.01  # of what surfaces bear, of momentum
-WRONG_FRICTION = 0.05  # of the same
-MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
-NOT_MOVED = 1e300  # in place of a change, where there was none since that was renewed
-EARLY_RELEASES = 4  # of those, before the stage is solved
-EARLY_RESIDUAL = 0.1  # squared residual, of the scale, at which they begin
-MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
-
-# What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
-# matrix [J].
-NUMBERS = (
-    "phase",  # see below
-    *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
-    *(
-        "within",
-        "noise",
-        "load",
-    ),  # of what deforms; of a residual that may be rounding; of what acts from outside and deforms
-    "scale_of_blocks",  # `scale` when blocks were made
-    "flies",  # 1 where nothing but rounding acts, else 0
-    *(
-        "change",
-        "part",
-        "tries",
-    ),  # multiple of the change to be added next; how much of it was; how often it was halved
-    *(
-        "residual_before",
-        "moved",
-        "moved_before",
-        "onward",
-    ),  # before the change; of the change of this iteration and the last one; what is left of it that leads on
-    *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last ones gained; see `search`
-    *("allowed", "target"),  # part of the scale that the residual may become, and that
-    *("iterations", "searches"),  # so many of either kind
-    *("excess", "gained"),  # see Verdicts.note_work
-    "passes",  # over springs, in this stage
+from taichi_sim.integrators.newton_numbers import (
+    BEGUN,
+    CODES,
+    DOUBTFUL,
+    DOUBTFUL_GUESS,
+    EARLY_RELEASES,
+    EARLY_RESIDUAL,
+    FINER_TARGET,
+    FORCING_TERM,
+    FOUND,
+    GAIN_WINDOW,
+    HEAVY_ITERATIONS,
+    HELD,
+    LEFT_OUT,
+    LOCAL_ERROR_PART,
+    LOOSE_TERM,
+    MOST_ITERATIONS,
+    MOST_RELEASES,
+    MOST_SEARCHES,
+    MOST_TRIES,
+    NOT_MOVED,
+    OLD_BLOCKS,
+    PATIENT_ITERATIONS,
+    READY,
+    SEARCHING,
+    SHRINKING_CHANGE,
+    SOLVED,
+    STEEPEST_RISE,
+    TRIED,
+    WITHDRAWN,
+    WRONG_FRICTION,
 )
-# where balls may be held: so many; how often what holds them was renewed; impulses that surfaces bear, and that are left out
-# [N s]; what deflation gained of the next change
-HELD_NUMBERS = ("near", "releases", "borne", "lack", "shifted")
-TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
+from taichi_sim.integrators.newton_tally import Tallies
 
-# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
-# is solved, if surfaces hold those balls that they push, and with the friction that they allow.
-SOLVED, HELD, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(10)
+__all__ = ["Verdicts", "compare_potentials", "solve_stage"]
 
 
 def solve_stage(self, s, stage):
@@ -124,30 +74,8 @@ def compare_potentials(self, s):
 
 
 @ti.data_oriented
-class Verdicts:
-    """Questions that `solve_stage` asks.
-
-    What a solution leaves may not give energy. With the residual r = m (q - v) + s F, the equation of implicit Euler times v says
-    that energy changes by -r . v - m (v - v0)^2 / 2 less what convexity and damping take: -r . v has to stay below a part of the
-    second term; in the stages of TR-BDF2, which takes less, below a smaller one. The norm of r cannot see this: it divides what
-    a stiff spring leaves by s^2 k, and a spring that rotates in a step has v along it. What r gives counts in the frame of the
-    body.
-    """
-
-    number: Any  # (bodies) of NUMBERS
-    tally: Any  # (1) of TALLY
-    stage: Any  # (1) what bodies made of this stage
-    bodies: Any
-    part: Any  # sums over parts of bodies
-    wide: Any
-    tolerance: float
-    order: int
-    least: float
-    rounding: float
-    finest: float
-    holds: bool  # whether surfaces may hold balls
-    deflates: bool  # whether they may hold those of free bodies, by implicit Euler
-    free: Any  # a FreeBodies
+class Verdicts(Tallies):
+    """The part of a StageSolver that answers the questions of `solve_stage`."""
 
     @ti.func
     def begin_body(self, b):
@@ -185,11 +113,6 @@ class Verdicts:
         if self.number[b].iterations == 0.0:
             self.allow(b)
         self.go_on(b)
-
-    @ti.func
-    def is_rounding(self, b, acting, noise):
-        """True if what acts on body b, but for what acts on all of a free one alike, is rounding up to a noise [J]."""
-        return acting <= noise and self.number[b].load == 0.0
 
     @ti.func
     def go_on(self, b):
@@ -388,54 +311,3 @@ class Verdicts:
         larger = number.residual > number.residual_before or number.iterations > PATIENT_ITERATIONS
         falls = number.part == 1.0 and number.onward > -STEEPEST_RISE * number.moved
         return ti.cast(larger and not falls and number.tries < MOST_TRIES, ti.i32)
-
-    @ti.func
-    def note_work(self, b):
-        """Set what the residual gives to body b: `excess` [J], beyond what it may, and `gained`, the part of its kinetic energy
-        that is more than the method takes, where that is not rounding."""
-        given, taken = self.bodies.total(self.part.given, b), self.bodies.total(self.part.taken, b)
-        moving = self.bodies.total(self.part.moving, b)
-        self.number[b].excess = ti.max(0.0, given - ti.static(GIVEN_PARTS[self.order]) * taken - self.rounding * moving)
-        gain = given - taken
-        gained = 0.0 * gain
-        if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > self.tolerance**2 * self.number[b].scale:
-            gained = gain / ti.max(gain, moving)
-        self.number[b].gained = gained
-
-    @ti.func
-    def judge(self, b):
-        """Note how well the stage was solved for body b."""
-        left, moved, scale = self.number[b].residual, self.number[b].moved, self.number[b].scale
-        if moved > 0.0:
-            left = ti.min(left, moved)
-        if not left >= 0.0:  # the matrix was not positive definite
-            left = scale
-        indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
-        ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
-        within = ti.min(self.number[b].within, scale)
-        if not self.is_rounding(b, ti.max(within, left), ADDED_NOISE * self.number[b].noise):
-            left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
-            ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
-            if left > MISSED_TOLERANCES * self.tolerance:
-                self.stage[0].missed = 1
-        if indefinite:
-            ti.atomic_max(self.stage[0].worst, ti.cast(1.0, float))
-            self.stage[0].missed = 1
-
-    @ti.func
-    def judge_all(self):
-        """Add up how well the stage was solved: for the worst body."""
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            self.stage[0].passes = 0
-            self.stage[0].missed = 0
-            self.stage[0].worst = 0.0
-        ti.loop_config(serialize=ti.static(self.bodies.few))
-        for b in range(self.bodies.count):
-            self.judge(b)
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            self.tally[0].solved += 1.0
-            self.tally[0].passes += self.stage[0].passes
-            self.tally[0].misses += self.stage[0].missed
-            self.tally[0].worst = ti.max(self.tally[0].worst, ti.cast(self.stage[0].worst, self.wide))

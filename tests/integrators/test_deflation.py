@@ -5,7 +5,7 @@ import pytest
 from physics_support import F64, simulate
 
 import taichi_sim as ts
-from taichi_sim.integrators.newton_decisions import HEAVY_ITERATIONS
+from taichi_sim.integrators.newton_numbers import HEAVY_ITERATIONS
 
 
 def on_a_sphere(side: float, n: int, radius: float, height: float) -> ts.Scene:
