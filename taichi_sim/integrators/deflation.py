@@ -41,6 +41,11 @@ class Deflation:
         self.own[b].way = ti.Vector.zero(self.wide, self.dim)
 
     @ti.func
+    def acts(self, b):
+        """True if body b is deflated: only then are its sums worth their time."""
+        return self.own[b].inverse[0, 0] > 0.0
+
+    @ti.func
     def find(self):
         """Find A T and G of heavy bodies, and take out of their residuals what T reaches. Others may be amid a search."""
         for axis in ti.static(range(self.dim)):

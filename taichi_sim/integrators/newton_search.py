@@ -72,7 +72,8 @@ class Search(Verdicts):
             self.product.sum[i] = padded_blocks.pad(z, self.dim)
             rz += ti.cast(self.sum[i].dot(z), self.wide)
             if ti.static(self.deflates):
-                reach += self.deflation.reach(i, z)
+                if self.deflation.acts(self.bodies.part[c].body):
+                    reach += self.deflation.reach(i, z)
         self.part[c].residual = rz
         if ti.static(self.deflates):
             self.deflation.part[c].sum = reach
@@ -215,5 +216,6 @@ class Search(Verdicts):
         """Preconditioned residual of ball i, without what deflation has found."""
         z = self.product.sum[i]
         if ti.static(self.deflates):
-            z -= padded_blocks.pad(self.deflation.way(i), self.dim)
+            if self.deflation.acts(self.bodies.of(i)):
+                z -= padded_blocks.pad(self.deflation.way(i), self.dim)
         return z

@@ -5,6 +5,7 @@ import pytest
 from physics_support import F64, simulate
 
 import taichi_sim as ts
+from taichi_sim.device.engine import ti
 from taichi_sim.integrators.newton_numbers import HEAVY_ITERATIONS
 
 
@@ -53,3 +54,35 @@ def test_a_sheet_that_folds_over_a_sphere_is_solved_in_few_passes():
     assert found.misses == 0
     assert found.passes < 100 * found.stages
     assert np.diff(energy).max() < 0.0
+
+
+@pytest.mark.once
+def test_changes_are_weighed_unless_their_slopes_say_that_they_lower_the_potential():
+    scene = ts.Scene(dim=2)
+    balls = scene.add_balls([(0.0, 0.0), (1.0, 0.0)], radius=0.1)
+    scene.add_springs([balls], stiffness=1.0)
+    with simulate(scene, ("ordered", "parallel"), integrator="implicit_euler", dt=0.01, contacts="off") as sim:
+        solver = sim.parts.integrator.solver
+
+        @ti.kernel
+        def weighs() -> int:
+            return solver.larger(0)
+
+        def weighed(**numbers):
+            usual = {
+                "residual": 2.0,
+                "residual_before": 1.0,
+                "iterations": 1.0,
+                "tries": 0.0,
+                "part": 1.0,
+                "moved": 3.0,
+            }
+            for name, value in (usual | numbers).items():
+                setattr(solver.number[0], name, value)
+            return bool(weighs())
+
+        assert weighed(onward=-1.6)
+        assert not weighed(onward=-1.4)
+        assert not weighed(onward=-1.6, residual=0.9)
+        assert weighed(onward=-1.6, residual=0.9, iterations=30.0)
+        assert weighed(onward=-1.4, part=0.5)
