@@ -4,16 +4,16 @@ from functools import partial
 from typing import Any
 
 from taichi_sim.device.engine import ti
-from taichi_sim.integrators.newton_decisions import (
+from taichi_sim.integrators.newton_decisions import compare_potentials, solve_stage
+from taichi_sim.integrators.newton_numbers import (
     CODES,
     DOUBTFUL,
+    HEAVY_ITERATIONS,
     READY,
     SEARCHING,
     SOLVED,
     TRIED,
     WITHDRAWN,
-    compare_potentials,
-    solve_stage,
 )
 from taichi_sim.kernels import reductions
 
@@ -37,14 +37,14 @@ class Launched:
     _solve, compare = solve_stage, compare_potentials
 
     def __init__(self, solver: Any) -> None:
-        self.solver, self.holds = solver, solver.holds
+        self.solver, self.holds, self.deflates = solver, solver.holds, solver.deflates
         self.searches: dict[tuple[int, int], int] = {}  # by stage and iteration: how many it took last
         self.doubtful_stages: set[int] = set()  # whose guess was in doubt before
         for launch, names in (
-            (self._run, ("start_search", "search", "evaluate", "judge_potentials", "release")),
+            (self._run, ("deflate", "start_search", "search", "evaluate", "judge_potentials", "release")),
             (self._run_stage, ("end",)),
             (self._run_step, ("move", "linearise")),
-            (self._ask, ("foremost", "report")),
+            (self._ask, ("foremost", "any_heavy", "report")),
         ):
             for name in names:
                 setattr(self, name, partial(launch, name))
@@ -61,7 +61,7 @@ class Launched:
         launched.begin(s, stage)
         launched.move(s)
         launched.linearise(s)
-        iteration, taken, phase = 0, 0, DOUBTFUL if stage in self.doubtful_stages else READY
+        iteration, starts, taken, phase = 0, 0, 0, DOUBTFUL if stage in self.doubtful_stages else READY
         while phase != SOLVED:
             if phase == DOUBTFUL:
                 self.doubtful_stages.add(stage)
@@ -71,8 +71,11 @@ class Launched:
                 launched.linearise(s)
             if phase == TRIED:
                 launched.compare(s)
+            elif phase == SEARCHING:
+                self._search(stage, iteration, taken, starts)
             else:
-                self._search(stage, iteration, taken if phase == SEARCHING else 0)
+                self._search(stage, iteration, 0, starts)
+                starts += 1
             launched.move(s)
             launched.evaluate()
             if self.holds:
@@ -83,14 +86,17 @@ class Launched:
                 iteration += 1
         launched.end(stage)
 
-    def _search(self, stage: int, iteration: int, taken: int) -> None:
-        """Launch as many iterations of conjugate gradients as may be needed; `taken` have been made."""
+    def _search(self, stage: int, iteration: int, taken: int, starts: int) -> None:
+        """Launch as many iterations of conjugate gradients as may be needed; `taken` have been made.
+        starts: so many were started before."""
         launched: Any = self
         known = self.searches.get((stage, iteration))
         batch = FIRST_SEARCHES if known is None else known + max(1, known // SPARE_PART)
         if taken:
             batch = max(FIRST_SEARCHES, taken // MORE_PART)
         else:
+            if self.deflates and starts >= HEAVY_ITERATIONS:  # until then no body has made so many
+                launched.deflate()
             launched.start_search()
         for _ in range(batch):
             launched.search()

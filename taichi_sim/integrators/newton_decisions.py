@@ -1,84 +1,41 @@
-"""The order in which an implicit stage is solved, what its numbers say about how to go on, and how well it was solved."""
-
-from typing import Any
+"""The order in which an implicit stage is solved, and what its numbers say about how to go on."""
 
 from taichi_sim.device.engine import ti
-
-__all__ = [
-    "BEGUN",
-    "CODES",
-    "DOUBTFUL",
-    "FOUND",
-    "HELD",
-    "HELD_NUMBERS",
-    "MISSED_TOLERANCES",
-    "NUMBERS",
-    "READY",
-    "SEARCHING",
-    "SOLVED",
-    "TALLY",
-    "TRIED",
-    "WITHDRAWN",
-    "Verdicts",
-    "compare_potentials",
-    "solve_stage",
-]
-
-MOST_ITERATIONS = 100  # of Newton's method
-PATIENT_ITERATIONS = 20  # after which none may raise the potential
-MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
-MOST_TRIES = 8  # halvings of a change that went too far
-DOUBTFUL_GUESS = 0.3  # of the impulses: a guess that leaves more is compared with none
-FORCING_TERM = 0.1  # part of the residual that an iteration leaves: more would be lost to what is not linear
-GAIN_WINDOW = 0.1  # part of the iterations so far, the last ones, whose gains tell what is left
-LOCAL_ERROR_PART = 0.05  # what a solution may add to it
-SHRINKING_CHANGE = 0.5  # squared changes of two iterations; they do not in mere rounding
-GIVEN_PARTS = {1: 0.5, 2: 0.02}  # by order, of (v - v0)^2 m / 2: what a solution may give back
-ADDED_NOISE = 4.0  # times the noise that is solved for: what flights add up before that happens
-OLD_BLOCKS = 4.0  # times that what acts has become since blocks were made, or one by that
-FINER_TARGET = 0.3  # of a squared residual that still gave too much
-LEFT_OUT = 0.01  # of what surfaces bear, of momentum
-WRONG_FRICTION = 0.05  # of the same
-MOST_RELEASES = 8  # times in a stage that what surfaces do to balls is renewed
-MOST_SIZE = 1e300  # J, of a residual that is a number
-MISSED_TOLERANCES = 10.0  # a stage that leaves more counts as not solved
-
-# What steers the loops, of each body, in double precision. Sizes of impulses are squares, divided by the block diagonal of the
-# matrix [J].
-NUMBERS = (
-    "phase",  # see below
-    *("residual", "force", "scale"),  # of the residual, of what springs do, the larger of that and the kinetic energy
-    *(
-        "within",
-        "noise",
-        "load",
-    ),  # of what deforms; of a residual that may be rounding; of what acts from outside and deforms
-    "scale_of_blocks",  # `scale` when blocks were made
-    "flies",  # 1 where nothing but rounding acts, else 0
-    *(
-        "change",
-        "part",
-        "tries",
-    ),  # multiple of the change to be added next; how much of it was; how often it was halved
-    *(
-        "residual_before",
-        "moved",
-        "moved_before",
-    ),  # before the change; of the change of this iteration and the last one
-    *("gain", "rz", "step", "saddle"),  # of conjugate gradients: what the last ones gained; see `search`
-    *("allowed", "target"),  # part of the scale that the residual may become, and that
-    *("iterations", "searches"),  # so many of either kind
-    *("excess", "gained"),  # see Verdicts.note_work
-    "passes",  # over springs, in this stage
+from taichi_sim.integrators.newton_numbers import (
+    BEGUN,
+    CODES,
+    DOUBTFUL,
+    DOUBTFUL_GUESS,
+    EARLY_RELEASES,
+    EARLY_RESIDUAL,
+    FINER_TARGET,
+    FORCING_TERM,
+    FOUND,
+    GAIN_WINDOW,
+    HEAVY_ITERATIONS,
+    HELD,
+    LEFT_OUT,
+    LOCAL_ERROR_PART,
+    LOOSE_TERM,
+    MOST_ITERATIONS,
+    MOST_RELEASES,
+    MOST_SEARCHES,
+    MOST_TRIES,
+    NOT_MOVED,
+    OLD_BLOCKS,
+    PATIENT_ITERATIONS,
+    READY,
+    SEARCHING,
+    SHRINKING_CHANGE,
+    SOLVED,
+    STEEPEST_RISE,
+    TRIED,
+    WITHDRAWN,
+    WRONG_FRICTION,
 )
-# where balls may be held: so many; how often what holds them was renewed; impulses that surfaces bear, and that are left out
-# [N s]
-HELD_NUMBERS = ("near", "releases", "borne", "lack")
-TALLY = ("solved", "passes", "worst", "misses")  # since the simulation was made, see SolverStatistics; solved: stages
+from taichi_sim.integrators.newton_tally import Tallies
 
-# Phases of a body in a stage: what has to be done for it next, the most urgent last, so that all bodies go on together. HELD: it
-# is solved, if surfaces hold those balls that they push, and with the friction that they allow.
-SOLVED, HELD, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES = range(10)
+__all__ = ["Verdicts", "compare_potentials", "solve_stage"]
 
 
 def solve_stage(self, s, stage):
@@ -89,6 +46,9 @@ def solve_stage(self, s, stage):
     phase = BEGUN
     while phase != SOLVED:
         if phase == READY:
+            if ti.static(self.deflates):
+                if self.any_heavy() == 1:
+                    self.deflate()
             self.start_search()
         elif phase == SEARCHING:
             self.search()
@@ -114,28 +74,8 @@ def compare_potentials(self, s):
 
 
 @ti.data_oriented
-class Verdicts:
-    """Questions that `solve_stage` asks.
-
-    What a solution leaves may not give energy. With the residual r = m (q - v) + s F, the equation of implicit Euler times v says
-    that energy changes by -r . v - m (v - v0)^2 / 2 less what convexity and damping take: -r . v has to stay below a part of the
-    second term; in the stages of TR-BDF2, which takes less, below a smaller one. The norm of r cannot see this: it divides what
-    a stiff spring leaves by s^2 k, and a spring that rotates in a step has v along it. What r gives counts in the frame of the
-    body.
-    """
-
-    number: Any  # (bodies) of NUMBERS
-    tally: Any  # (1) of TALLY
-    stage: Any  # (1) what bodies made of this stage
-    bodies: Any
-    part: Any  # sums over parts of bodies
-    wide: Any
-    tolerance: float
-    order: int
-    least: float
-    rounding: float
-    finest: float
-    holds: bool  # whether surfaces may hold balls
+class Verdicts(Tallies):
+    """The part of a StageSolver that answers the questions of `solve_stage`."""
 
     @ti.func
     def begin_body(self, b):
@@ -143,13 +83,14 @@ class Verdicts:
         self.number[b].iterations = 0.0
         self.number[b].passes = 0.0
         self.number[b].searches = 0.0
-        self.number[b].moved = 1e300
+        self.number[b].moved = NOT_MOVED
         self.number[b].flies = 0.0
         self.number[b].change = 1.0
         self.number[b].part = 1.0
         self.number[b].phase = BEGUN
         if ti.static(self.holds):
             self.number[b].releases = 0.0
+            self.number[b].shifted = 0.0
 
     @ti.func
     def judge_guess(self, b):
@@ -174,11 +115,6 @@ class Verdicts:
         self.go_on(b)
 
     @ti.func
-    def is_rounding(self, b, acting, noise):
-        """True if what acts on body b, but for what acts on all of a free one alike, is rounding up to a noise [J]."""
-        return acting <= noise and self.number[b].load == 0.0
-
-    @ti.func
     def go_on(self, b):
         """The phase of body b after an iteration of Newton's method, or before the first. Implicit Euler measures what acts
         where the stage is: at a guess that strains a body far it is much larger. Blocks of such a guess are made anew before the
@@ -187,6 +123,9 @@ class Verdicts:
         self.number[b].target = scale * self.number[b].allowed
         if self.unsolved(b) == 1:
             self.number[b].phase = READY
+            if ti.static(self.holds and self.order == 1):
+                if self.releases_early(b):
+                    self.number[b].phase = HELD
         elif ti.max(scale, before) > OLD_BLOCKS * ti.min(scale, before) and self.number[b].iterations < MOST_ITERATIONS:
             self.number[b].phase = WITHDRAWN
         else:
@@ -196,18 +135,31 @@ class Verdicts:
                     self.number[b].phase = HELD
 
     @ti.func
+    def releases_early(self, b):
+        """True if what surfaces do to body b is looked at before it is solved: to solve for what they do not do is in vain."""
+        few = self.number[b].near > 0.0 and self.number[b].releases < EARLY_RELEASES
+        small = self.number[b].residual < EARLY_RESIDUAL * self.number[b].scale
+        return few and small and self.number[b].moved < NOT_MOVED
+
+    @ti.func
     def amiss(self, b, pull, wrong):
         """True if surfaces have impulses of this size [J] on body b that they cannot give, or lack them, more than the residual
-        may be, or friction that they cannot give [N s], of a part of what they bear."""
-        return pull > self.number[b].target or wrong > WRONG_FRICTION * self.number[b].borne
+        may be, or of an unsolved one is, or friction that they cannot give [N s], of a part of what they bear."""
+        most = self.number[b].target
+        if ti.static(self.order == 1):
+            most = ti.max(most, ti.min(self.number[b].residual, self.number[b].moved))
+        return pull > most or wrong > WRONG_FRICTION * self.number[b].borne
 
     @ti.func
     def judge_pull(self, b, pull, wrong):
         """The phase of body b: where impulses of surfaces are `amiss`, it goes on with others."""
         self.number[b].phase = SOLVED
+        if ti.static(self.order == 1):
+            if self.unsolved(b) == 1:
+                self.number[b].phase = READY
         if self.amiss(b, pull, wrong):
             self.number[b].phase = WITHDRAWN
-            self.number[b].moved = 1e300
+            self.number[b].moved = NOT_MOVED
             self.number[b].releases += 1.0
 
     @ti.func
@@ -257,6 +209,23 @@ class Verdicts:
         else:
             phase = ti.cast(self.number[0].phase, ti.i32)
         return phase
+
+    @ti.func
+    def heavy(self, b):
+        """True if the next search of body b is one of many on surfaces, which are to leave it no momentum."""
+        number = self.number[b]
+        many = number.iterations >= HEAVY_ITERATIONS and number.near > 0.0
+        return many and number.phase == READY and self.free.mass[b] > 0.0
+
+    @ti.func
+    def any_heavy(self):
+        """1 if any body is `heavy`, else 0."""
+        found = 0
+        ti.loop_config(serialize=ti.static(self.bodies.few))
+        for b in range(self.bodies.count):
+            if self.heavy(b):
+                ti.atomic_max(found, 1)
+        return found
 
     @ti.func
     def report(self):
@@ -309,7 +278,11 @@ class Verdicts:
 
         What is left, squared in the norm of the matrix, is the sum of all gains to come (Hestenes and Stiefel, 1952).
         """
-        goal = ti.max(FORCING_TERM**2 * self.number[b].moved, 0.1 * self.number[b].target)
+        forcing = FORCING_TERM
+        if ti.static(self.holds and self.order == 1):
+            if self.number[b].near > 0.0 and self.number[b].iterations > HEAVY_ITERATIONS:
+                forcing = LOOSE_TERM
+        goal = ti.max(forcing**2 * self.number[b].moved, 0.1 * self.number[b].target)
         searches = self.number[b].searches
         more = (self.number[b].gain > goal or searches < 2.0) and self.number[b].rz > 0.0
         return ti.cast(more and searches < MOST_SEARCHES, ti.i32)
@@ -332,64 +305,9 @@ class Verdicts:
     def larger(self, b):
         """1 if the change may have gone too far, so that half of it is worth a try, else 0: it raised the residual. It did
         where it raised the potential too. The residual alone may rise where a stiff body rotates. Such changes may follow each
-        other without end, so late ones may not raise the potential."""
-        larger = (
-            self.number[b].residual > self.number[b].residual_before or self.number[b].iterations > PATIENT_ITERATIONS
-        )
-        return ti.cast(larger and self.number[b].tries < MOST_TRIES, ti.i32)
-
-    @ti.func
-    def note_work(self, b):
-        """Set what the residual gives to body b: `excess` [J], beyond what it may, and `gained`, the part of its kinetic energy
-        that is more than the method takes, where that is not rounding."""
-        given, taken = self.bodies.total(self.part.given, b), self.bodies.total(self.part.taken, b)
-        moving = self.bodies.total(self.part.moving, b)
-        self.number[b].excess = ti.max(0.0, given - ti.static(GIVEN_PARTS[self.order]) * taken - self.rounding * moving)
-        gain = given - taken
-        gained = 0.0 * gain
-        if gain > MISSED_TOLERANCES * self.tolerance * moving and gain > self.tolerance**2 * self.number[b].scale:
-            gained = gain / ti.max(gain, moving)
-        self.number[b].gained = gained
-
-    @ti.func
-    def is_lost(self, b):
-        """True if forces on body b are no numbers. A comparison with nan is false."""
-        return not self.number[b].residual < MOST_SIZE
-
-    @ti.func
-    def judge(self, b):
-        """Note how well the stage was solved for body b."""
-        left, moved, scale = self.number[b].residual, self.number[b].moved, self.number[b].scale
-        if moved > 0.0:
-            left = ti.min(left, moved)
-        if not left >= 0.0:  # the matrix was not positive definite
-            left = scale
-        indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
-        ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
-        within = ti.min(self.number[b].within, scale)
-        if not self.is_rounding(b, ti.max(within, left), ADDED_NOISE * self.number[b].noise):
-            left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
-            ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
-            if left > MISSED_TOLERANCES * self.tolerance:
-                self.stage[0].missed = 1
-        if indefinite:
-            ti.atomic_max(self.stage[0].worst, ti.cast(1.0, float))
-            self.stage[0].missed = 1
-
-    @ti.func
-    def judge_all(self):
-        """Add up how well the stage was solved: for the worst body."""
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            self.stage[0].passes = 0
-            self.stage[0].missed = 0
-            self.stage[0].worst = 0.0
-        ti.loop_config(serialize=ti.static(self.bodies.few))
-        for b in range(self.bodies.count):
-            self.judge(b)
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            self.tally[0].solved += 1.0
-            self.tally[0].passes += self.stage[0].passes
-            self.tally[0].misses += self.stage[0].missed
-            self.tally[0].worst = ti.max(self.tally[0].worst, ti.cast(self.stage[0].worst, self.wide))
+        other without end, so late ones may not raise the potential. Along a whole change its slope starts at -`moved` and ends at
+        -`onward`. What the matrix does not know grows at least evenly, so that the mean slope is at most that of both."""
+        number = self.number[b]
+        larger = number.residual > number.residual_before or number.iterations > PATIENT_ITERATIONS
+        falls = number.part == 1.0 and number.onward > -STEEPEST_RISE * number.moved
+        return ti.cast(larger and not falls and number.tries < MOST_TRIES, ti.i32)

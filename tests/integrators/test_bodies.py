@@ -77,6 +77,35 @@ def test_a_body_does_not_depend_on_another_where_launches_run_ahead(monkeypatch)
     assert found[0] == pytest.approx(expected, abs=1e-3)
 
 
+def strip_on_a_disc(other):
+    """Places after 20 steps of a strip that folds over a disc, beside another one with what `other` says; and whether each was
+    deflated."""
+    scene = ts.Scene(dim=2, gravity=(0, -9.81))
+    scene.add_material("rough", friction=0.3)
+    for k, own in enumerate([{}, other]):
+        balls = add_strip(scene, (9.0 * k, 0.32), 17, k + 1, **{"stiffness": 1e5, "speed": 0.5, **own})
+        scene.set_balls(balls, material="rough")
+        scene.add_collider(ts.Sphere((9.0 * k + 0.75, 0.0), 0.3, material="rough"))
+    with simulate(scene, GATHERED, integrator="implicit_euler", dt=1 / 120, substeps=1) as sim:
+        own, deflated = sim.parts.integrator.solver.deflation.own, np.zeros(2, dtype=bool)
+        for _ in range(20):
+            sim.step(1)
+            deflated |= own.to_numpy()["inverse"].any(axis=(1, 2))
+        return sim.position[:17], deflated
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_body_on_a_surface_does_not_depend_on_another(ahead, monkeypatch):
+    """Deflation, and what surfaces do, are each body's own affair."""
+    monkeypatch.setattr(reductions, "on_device", lambda: ahead)
+    (first, deflated), *rest = [strip_on_a_disc(other) for other in OTHERS[:3]]
+    assert deflated.all()
+    for other, _ in rest:
+        assert np.array_equal(other, first)
+
+
 @pytest.mark.once
 def test_balls_are_grouped_by_what_joins_them():
     scene = ts.Scene(dim=2)
