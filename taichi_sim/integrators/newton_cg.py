@@ -107,6 +107,9 @@ class StageSolver(Verdicts):
         self.product = Product(self, fields)
         self.residual = Residual(self)
         self.inverse_block = fields.matrices(self.n, self.dim)  # of the diagonal
+        self.swings, self.part_of_step = method.contacts.plan.active and model.has_restitution, method.part
+        if self.swings:
+            model.holds_back, model.swing = True, fields.matrices(self.n, self.dim)
         if springs is not None:
             start, _, spring = incidence(scene.pairs[springs.number], self.n)
             self.start, self.own_spring = fields.integers(start), fields.integers(spring)
@@ -344,8 +347,10 @@ class StageSolver(Verdicts):
         if ti.static(self.inflated):
             g = ti.cast(self.gas.gradient(i), self.wide)
             along += g.outer_product(g)
-        whole = along + ti.cast(curved, self.wide) + (across + inertia + drag * inertia) * one
-        return ti.cast(whole.inverse(), float)
+        elastic = along + ti.cast(curved, self.wide) + across * one
+        if ti.static(self.swings):
+            self.model.swing[i] = ti.cast(elastic / (inertia * ti.static(self.part_of_step**2)), float)
+        return ti.cast((elastic + (inertia + drag * inertia) * one).inverse(), float)
 
     @ti.func
     def evaluate(self):
