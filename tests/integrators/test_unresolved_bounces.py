@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from physics_support import simulate
+from physics_support import F64, simulate
 
 import taichi_sim as ts
 
@@ -50,7 +50,9 @@ def test_a_light_ball_comes_back_from_a_stiff_block(method):
             sim.step()
             stored.append(sim.energy().total)
         after = sim.velocity[struck, 1]
-    assert np.diff(stored).max() < 1e-6 * stored[0]
+    assert (
+        np.diff(stored).max() < (1e-6 if F64 else 1e-3) * stored[0]
+    )  # what rounding makes of places, times a stiffness
     assert after == pytest.approx(restitution * speed, rel=1e-3)
 
 
