@@ -20,6 +20,7 @@ PUSH_OUT = 0.5  # part of the remaining depth that the position correction of on
 FASTEST_PUSH_OUT = 20.0  # of the threshold speed: soft contacts do not push out faster
 CALM_PUSH_OUT = 5.0  # the same where solves start from loads, see pair_solve.calm_push_out_speed
 DEEP_OVERLAP = 0.2  # of the radius: where it is twice as fast
+RESOLVED_SWING = 1.0  # of a ball, see `swing`: beyond it nothing bounces
 TOUCH_TOLERANCE = 1e-5  # of the radius: a ball this close that hardly approaches rests
 LEAST_SQUARED_SINE = 1e-3  # of over-relaxation: normals that face each other more exactly converge more slowly
 CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
@@ -29,6 +30,26 @@ CORRECTION_SLOP = 0.01  # of the radius: depth that position correction leaves
 def pair_law(model: ti.template(), one, other):
     """Coefficients of the contact between two materials."""
     return model.laws[one * model.surfaces + other]
+
+
+@ti.func
+def swing(model: ti.template(), i, n):
+    """h^2 n . K n / m of ball i, with K the stiffness of what holds it: about the square of how far it swings along n in a step
+    of an implicit method. 0 where a ball is free, no stage was solved yet, or forces are explicit."""
+    result = 0.0 * n[0]
+    if ti.static(model.holds_back):
+        result = n.dot(model.swing[i] @ n)
+    return result
+
+
+@ti.func
+def as_resolved(model: ti.template(), law, swing):
+    """The law of a contact, without restitution where a step does not resolve the `swing` of what touches: thrown back against
+    its neighbours, a ball would strain what holds it further within the step than the impact had energy for."""
+    if ti.static(model.holds_back):
+        if swing > RESOLVED_SWING:
+            law.restitution = 0.0
+    return law
 
 
 @ti.func

@@ -298,7 +298,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
                         body = walls.received.solid[(UNKNOWN_WAY - other) // walls.colliders.faces]
                 else:
                     surface_met, normal, own, material, body = met_surface(walls, i, hit, other, x + shift, since)
-                    law = walls.law_of_material(i, material)
+                    law = walls.law_of_material(i, material, normal)
                     rests = True  # on a collider that it does not approach
                     if other == NOTHING or normal.dot(came - own) < 0.0:
                         speed, pull, rests = bounce(walls, i, normal, law, came - own, pull, threshold, h, remaining)

@@ -44,11 +44,11 @@ def approach_from_forces(solver: ti.template(), i, j, n):
 
 
 @ti.func
-def is_lossless(solver: ti.template(), i, j):
+def is_lossless(solver: ti.template(), i, j, n):
     """True if all speed comes back: such a pair, once it has bounced, parts by itself; to be pushed as well would be a gain."""
     lossless = False
     if ti.static(solver.model.has_restitution):
-        lossless = law_of(solver.pairs, i, j).restitution >= 1.0
+        lossless = law_of(solver.pairs, i, j, n).restitution >= 1.0
     return lossless
 
 
@@ -195,7 +195,7 @@ def impacts_of_ball(solver: ti.template(), ball: ti.template(), i, now, time):
                 n, _ = unit(ball[j].x - ball[i].x - passed * (ball[j].v - ball[i].v), i, j)
             closing = contact_law.closing_speed((ball[j].v - ball[i].v).dot(n), approach_from_forces(solver, i, j, n))
             if closing > solver.threshold[0]:
-                restitution = law_of(solver.pairs, i, j).restitution
+                restitution = law_of(solver.pairs, i, j, n).restitution
                 if restitution > 0.0 and bounces_on(solver, i, j, restitution):
                     bounced = 1
                     impact(solver, ball, i, j, c, time)
@@ -241,7 +241,7 @@ def impact(solver: ti.template(), ball: ti.template(), i, j, c, time):
                     t = d / reach * cross(n, p)
                 note_impact(solver, i, since)
                 note_impact(solver, j, since)
-                struck_pairs.note(solver, i, j, n, law_of(solver.pairs, i, j).restitution, since)
+                struck_pairs.note(solver, i, j, n, law_of(solver.pairs, i, j, n).restitution, since)
                 solver.apply(i, p, t)
                 solver.apply(j, -p, t)
                 if since > 0.0:
@@ -267,7 +267,7 @@ def measure_again(solver: ti.template(), ball: ti.template(), i, j, c):
 def impulse(solver: ti.template(), i, j, n, arm, u, forced, time):
     """Impulse [N s] on ball i by its impact on ball j along n, with friction; arm: distance of their centres, in parts of that at
     touch; u: relative velocity, of which `forced` along -n [m/s], see approach_from_forces."""
-    law = law_of(solver.pairs, i, j)
+    law = law_of(solver.pairs, i, j, n)
     mass = 1.0 / (solver.model.inverse_mass[i] + solver.model.inverse_mass[j])
     slip, tangential_mass = u, mass
     if ti.static(solver.model.spins):

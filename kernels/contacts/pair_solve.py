@@ -118,7 +118,7 @@ def further_impulse(solver: ti.template(), ball: ti.template(), i, j, c, v, spin
                 slip -= solver.pairs.contact[c].arm * lever(spin + solver.state.spin[j], n)
                 tangential_mass *= contact_law.tangential_mass_part(solver, i, j)
             change, tangential = contact_law.friction(
-                solver.model, law_of(solver.pairs, i, j), n, u, slip, total, mass, tangential_mass, tangential,
+                solver.model, law_of(solver.pairs, i, j, n), n, u, slip, total, mass, tangential_mass, tangential,
                 solver.threshold[0], time,
             )  # fmt: skip
             p += change
@@ -159,7 +159,7 @@ def prepare(solver: ti.template(), i, j, c, n, how: ti.template()):
         speed = (solver.velocity_before[j] - solver.velocity_before[i]).dot(n)
         restitution = 0.0 * speed
         if ti.static(solver.model.has_restitution):
-            restitution = law_of(solver.pairs, i, j).restitution
+            restitution = law_of(solver.pairs, i, j, n).restitution
         forced = pair_impacts.approach_from_forces(solver, i, j, n)
         target = contact_law.target_speed(
             speed, forced, solver.plan.late_part, restitution, solver.threshold[0], how.impacts
@@ -210,7 +210,7 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
     if ti.static(not how.impacts):
         mass = ti.select(fast, 0.0, mass)
     elif ti.static(solver.model.has_restitution):
-        e = law_of(solver.pairs, i, j).restitution
+        e = law_of(solver.pairs, i, j, n).restitution
         if fast and e > 0.0 and (e >= 1.0 or depth <= 0.0):
             mass = 0.0
     solver.pairs.contact[c].mass = mass
@@ -219,7 +219,9 @@ def prepare_after_impacts(solver: ti.template(), i, j, c, n, before, how: ti.tem
     if ti.static(how.impacts and solver.plan.soft):
         bias = ti.cast(RIGID, float)
         rests = (
-            before > 0.0 or pair_impacts.rests(solver, i, j, speed, depth) or not pair_impacts.is_lossless(solver, i, j)
+            before > 0.0
+            or pair_impacts.rests(solver, i, j, speed, depth)
+            or not pair_impacts.is_lossless(solver, i, j, n)
         )
         if depth > 0.0 and not fast and rests:
             bias = push_out_speed(solver, depth)

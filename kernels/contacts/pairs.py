@@ -4,7 +4,7 @@ A pair is listed by that of its balls which comes first in the sorted grid. Iter
 blocks that are longer than any pair reaches: see pair_sweeps. Where each ball gathers what it gets, both list it.
 """
 
-from taichi_sim.kernels.contacts import warm_start
+from taichi_sim.kernels.contacts import contact_law, warm_start
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
 from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
@@ -289,9 +289,14 @@ def list_neighbours(pairs: ti.template(), own, at, room):
 
 
 @ti.func
-def law_of(pairs: ti.template(), i, j):
-    """Pair law of two balls."""
+def law_of(pairs: ti.template(), i, j, n):
+    """Pair law of two balls, along n."""
     which = pairs.only_law + 0 * i
     if ti.static(pairs.only_law < 0):
         which = pairs.model.surface[i] * pairs.model.surfaces + pairs.model.surface[j]
-    return pairs.model.laws[which]
+    law = pairs.model.laws[which]
+    if ti.static(pairs.model.holds_back):  # each counts by its share of the change of their relative velocity
+        w, other = pairs.model.inverse_mass[i], pairs.model.inverse_mass[j]
+        own, others = contact_law.swing(pairs.model, i, n), contact_law.swing(pairs.model, j, n)
+        law = contact_law.as_resolved(pairs.model, law, (w * own + other * others) / (w + other))
+    return law

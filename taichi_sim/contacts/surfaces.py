@@ -60,12 +60,13 @@ class Surfaces:
             surface = self.planes.wall[k].material
         elif ti.static(self.has_colliders):
             surface = self.colliders.shape[self.collider_contacts.collider(i, k - self.planes.count)].surface
-        return self.law_of_material(i, surface)
+        return self.law_of_material(i, surface, self.normal(i, k))
 
     @ti.func
-    def law_of_material(self, i, surface):
-        """Pair law of ball i and a material."""
-        return contact_law.pair_law(self.model, self.model.surface[i], surface)
+    def law_of_material(self, i, surface, n):
+        """Pair law of ball i and a material, along n."""
+        law = contact_law.pair_law(self.model, self.model.surface[i], surface)
+        return contact_law.as_resolved(self.model, law, contact_law.swing(self.model, i, n))
 
     @ti.func
     def gap(self, x, i, k):

@@ -67,7 +67,16 @@ class WeightedContacts:
     def law(self, c):
         """Pair law of contact c: the materials of the first balls on either side."""
         one, other = self.ball_of(c, 0), self.ball_of(c, self.other_side(c))
-        return contact_law.pair_law(self.model, self.model.surface[one], self.model.surface[other])
+        law = contact_law.pair_law(self.model, self.model.surface[one], self.model.surface[other])
+        if ti.static(self.model.holds_back):  # each ball counts by its share of the change of their relative velocity
+            swing = whole = 0.0 * self.contact[c].distance
+            for k in ti.static(range(self.balls_per_contact)):
+                i, g = self.ball_of(c, k), self.weight_of(c, k)
+                share = self.model.inverse_mass[i] * g * g
+                swing += share * contact_law.swing(self.model, i, self.contact[c].normal)
+                whole += share
+            law = contact_law.as_resolved(self.model, law, swing / whole)
+        return law
 
     @ti.func
     def begin_contacts(self, ball: ti.template(), solver: ti.template(), impacts: ti.template()):

@@ -1,5 +1,7 @@
 """Model: what stays constant while a scene runs, as Taichi fields, and only what some part of the scene needs."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,6 +38,8 @@ class Model:
         self.gravity = fields.reals(scene.gravity[None])
         self.surfaces = len(scene.materials)
         self.spins = self.some_spin = False
+        self.holds_back = False  # whether `swing` (n) [1] is there, see kernels.contacts.contact_law.swing
+        self.swing: Any = None
         self.spin_inertia_ratio = SPIN_INERTIA_RATIOS[self.dim]
 
     def add_contact_fields(self) -> None:

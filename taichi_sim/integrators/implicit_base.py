@@ -106,6 +106,9 @@ class Implicit(Integrator):
                 self.solver.last[i] = ti.Vector.zero(float, self.model.dim)
                 if ti.static(self.solver.rubs):
                     self.solver.held.last_most[i] = 0.0
+            if ti.static(self.solver.swings):
+                for i in range(self.model.n):
+                    self.model.swing[i] = ti.Matrix.zero(float, self.model.dim, self.model.dim)
 
     @ti.func
     def _solve_stages(self, role: ti.template(), h, time):

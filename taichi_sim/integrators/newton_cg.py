@@ -100,6 +100,9 @@ class StageSolver(Sizes, Potentials, Search, Releases):
         self.product = Product(self, fields)
         self.residual = Residual(self)
         self.inverse_block = fields.matrices(self.n, self.dim)  # of the diagonal
+        self.swings, self.part_of_step = method.contacts.plan.active and model.has_restitution, method.part
+        if self.swings:
+            model.holds_back, model.swing = True, fields.matrices(self.n, self.dim)
         if springs is not None:
             start, _, spring = incidence(scene.pairs[springs.number], self.n)
             self.start, self.own_spring = fields.integers(start), fields.integers(spring)

@@ -175,8 +175,10 @@ class Sizes(Verdicts):
         if ti.static(self.inflated):
             g = ti.cast(self.gas.gradient(i), self.wide)
             along += g.outer_product(g)
-        whole = along + ti.cast(curved, self.wide) + (across + inertia + drag * inertia) * one
-        return ti.cast(whole.inverse(), float)
+        elastic = along + ti.cast(curved, self.wide) + across * one
+        if ti.static(self.swings):
+            self.model.swing[i] = ti.cast(elastic / (inertia * ti.static(self.part_of_step**2)), float)
+        return ti.cast((elastic + (inertia + drag * inertia) * one).inverse(), float)
 
     @ti.func
     def evaluate(self):

@@ -1,0 +1,77 @@
+"""Balls of elastic bodies do not bounce by themselves where a step does not resolve how they swing; all others do."""
+
+import numpy as np
+import pytest
+from physics_support import F64, simulate
+
+import taichi_sim as ts
+
+LAW = {"mass_per_area": 0.25, "warp": 260.0, "weft": 230.0, "shear": 70.0, "coupling": 25.0, "bending_rigidity": 1e-5}
+
+
+def test_a_sheet_bounces_across_itself_and_not_along():
+    """An upright sheet gained half of its energy in one step, by balls thrown back against those behind them."""
+    restitution, drop = 0.45, 0.55
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    scene.add_material("skin", restitution=restitution)
+    scene.add_wall((0.0, 1.0, 0.0), material="skin")
+    sheet = {"radius": 0.01, "material": "skin", **LAW}
+    ts.shapes.cloth(scene, (0.6, 0.54), (8, 7), position=(-0.3, drop, -0.3), rotation=(90, 0, 45), **sheet)
+    flat = ts.shapes.cloth(scene, (0.6, 0.54), (8, 7), position=(2.0, drop, 0.0), **sheet).balls
+    ball = scene.add_balls([[-2.0, drop, 0.0]], radius=0.01, mass=0.1, material="skin")
+    h = 1 / 130
+    with simulate(scene, integrator="tr_bdf2", dt=h, substeps=1) as sim:
+        energy, height = [sim.energy()], []
+        for _ in range(round(0.65 / h)):
+            sim.step()
+            energy.append(sim.energy())
+            height.append([sim.position[one, 1].mean() for one in (flat, ball)])
+    assert np.diff([one.total for one in energy]).max() < 1e-3 * max(one.kinetic for one in energy)
+    risen = np.max(height[round(0.42 / h) :], axis=0) - 0.01
+    assert risen == pytest.approx(restitution**2 * (drop - 0.01), rel=0.06)
+
+
+@pytest.mark.slow_where(method="tr_bdf2")
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_a_light_ball_comes_back_from_a_stiff_block(method):
+    """The step does not resolve the balls of the block, but these hardly move."""
+    restitution, speed, h = 0.6, 2.0, 1 / 100
+    place = 0.09 * np.stack(np.meshgrid(*[np.arange(3.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    i, j = np.triu_indices(9, 1)
+    near = np.linalg.norm(place[i] - place[j], axis=1) < 0.13
+    scene = ts.Scene(dim=2, gravity=(0.0, 0.0))
+    scene.add_material("steel", restitution=restitution)
+    balls = scene.add_balls(place, mass=0.1, radius=0.02, material="steel")
+    scene.add_springs(balls[np.stack([i, j], axis=1)[near]], stiffness=3e4)
+    struck = scene.add_balls([[0.09, 0.3]], velocity=(0.0, -speed), mass=1e-5, radius=0.02, material="steel")
+    with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+        stored = [sim.energy().total]
+        for _ in range(12):
+            sim.step()
+            stored.append(sim.energy().total)
+        after = sim.velocity[struck, 1]
+    assert (
+        np.diff(stored).max() < (1e-6 if F64 else 1e-3) * stored[0]
+    )  # what rounding makes of places, times a stiffness
+    assert after == pytest.approx(restitution * speed, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_blocks_in_a_hollow_and_on_a_box_gain_no_energy(method):
+    scene = ts.Scene(dim=2, gravity=(0.0, -9.81))
+    scene.add_material("gel", restitution=0.5)
+    scene.add_collider(ts.Sphere((0.0, 0.0), 0.6, hollow=0.1, material="gel"))
+    scene.add_collider(ts.Box((3.0, -0.5), (2.0, 0.2), material="gel"))
+    for x in (-0.1, 2.9):
+        ts.shapes.jelly(
+            scene, (0.3, 0.2), (5, 4), density=350.0, young_modulus=3.5e4, poisson_ratio=0.3, damping=0.0,
+            position=(x, 0.0), rotation=25.0, material="gel",
+        )  # fmt: skip
+    h = 1 / 80
+    with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
+        energy = [sim.energy()]
+        for _ in range(round(0.8 / h)):
+            sim.step()
+            energy.append(sim.energy())
+    assert np.diff([one.total for one in energy]).max() < 3e-3 * max(one.kinetic for one in energy)
