@@ -139,6 +139,8 @@ class Stage:
     product: Any
     residual: Any
     inverse_block: Any  # (n) of the diagonal
+    swings: bool  # whether contacts ask how balls swing
+    part_of_step: float  # that a stage takes
     rough: Any
     levels: Any
     held: Any  # a HeldBalls
