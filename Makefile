@@ -76,12 +76,14 @@ check: env ## Check format, lint and types.
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-wheel: env ## Build the wheel, install it into an empty environment and run a scene there.
+wheel: env ## Build the wheel, install it into an empty environment, list its demos and run one.
 	@folder=$$(mktemp -d) && trap 'rm -rf $$folder' EXIT \
 	  && $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir $$folder . \
 	  && $(PYTHON) -m venv $$folder/venv \
 	  && $$folder/venv/bin/python -m pip install --quiet --disable-pip-version-check $$folder/*.whl \
-	  && cd $$folder && venv/bin/taichi-sim run box --duration 0.2 -o box.npz
+	  && $(BIN)/taichi-sim demos >$$folder/demos \
+	  && cd $$folder && venv/bin/taichi-sim demos | diff demos - \
+	  && venv/bin/taichi-sim run box --duration 0.2 -o box.npz
 
 # random scenes, judged by what holds for any; ended and started again it goes on where it was: SCENES=2000 SEED=1
 SCENES ?= 2000

@@ -95,7 +95,8 @@ def occlude(scene: ti.template(), seen: ti.template(), view: View, planes: ti.i3
                         occluded = 1
         scene.occluded[tile] = occluded
     for tile in range(tiles * tiles_across(height)):
-        if occluded_near(scene, tile, width, height):
+        scene.dim[tile] = ti.cast(occluded_near(scene, tile, width, height), ti.i32)
+        if scene.dim[tile] > 0:
             for k in range(SIDE * SIDE):
                 x, y = tile % tiles * SIDE + k % SIDE, tile // tiles * SIDE + k // SIDE
                 w, total, weights = scene.lattice_depth[y * across + x], ti.f32(0.0), ti.f32(0.0)

@@ -1,4 +1,4 @@
-"""Spheres, rods, triangles and planes into a buffer of what is seen at each sample (see `visibility`).
+"""Spheres and rods into a buffer of what is seen at each sample (see `visibility`); `triangles` draws the rest.
 
 The same kernels draw the picture and the shadow map. A view is a 4x4 matrix: rows right, up, forward (each with its
 offset), then (pixels per unit, centre x, centre y, far), far = 0 for perspective. Pixels count from the top left.
@@ -15,7 +15,6 @@ View = ti.types.matrix(4, 4, ti.f32)
 
 SPHERE, ROD, TRIANGLE, PLANE = 1, 2, 3, 4  # kind of a primitive: identity = kind << 28 | index
 NEAR_PLANE = 1e-3
-CUT_PLANE = 0.02  # where a triangle that reaches behind the eye ends: nearer, its corners would be too many pixels away
 EXACT_RADIUS = 3.0  # px: a sphere at least this large is intersected exactly, a smaller one is drawn as a bulging disc
 SMALLEST_RADIUS = 0.55  # px: no sphere is drawn smaller, or it would flicker between samples
 THIN = 5.0  # texels of a shadow map: what is less wide may lie between two taps
@@ -144,107 +143,6 @@ def draw_spheres(
 
 
 @ti.func
-def edge(ax, ay, bx, by):
-    return ax * by - ay * bx
-
-
-@ti.func
-def screen_door(x, y, sample: ti.template(), samples: ti.template()):
-    """Threshold of a sample, from 0 to 1: of several in a pixel each its own, or 4 x 4 pixels in an order that looks even."""
-    threshold = ti.f32(ti.static((sample + 0.5) / samples))
-    if ti.static(samples == 1):
-        i, j = x & 3, y & 3
-        rank = (((i ^ j) & 1) << 3) | ((j & 1) << 2) | ((i ^ j) & 2) | ((j & 2) >> 1)  # Bayer
-        threshold = (ti.cast(rank, ti.f32) + ti.f32(0.5)) / 16
-    return threshold
-
-
-@ti.func
-def draw_triangle(
-    seen: ti.template(), samples: ti.template(), see_through: ti.template(), opacity, a, b, c, identity, width, height
-):
-    """Either winding, by barycentrics about the vertex a; of what is see-through a part of all samples, its opacity."""
-    bx, by, cx, cy = b[0] - a[0], b[1] - a[1], c[0] - a[0], c[1] - a[1]
-    area = edge(bx, by, cx, cy)
-    if ti.abs(area) > ti.f32(1e-9):
-        inverse = ti.f32(1.0) / area
-        y0, y1 = first(ti.min(a[1], b[1], c[1])), last(ti.max(a[1], b[1], c[1]), height)
-        x0, x1 = first(ti.min(a[0], b[0], c[0])), last(ti.max(a[0], b[0], c[0]), width)
-        mark(seen, x0, x1, y0, y1, width)
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                for s in ti.static(range(samples)):
-                    dx = ti.cast(x, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][0])) - a[0]
-                    dy = ti.cast(y, ti.f32) + ti.f32(ti.static(0.5 + SAMPLE_OFFSETS[samples][s][1])) - a[1]
-                    u = edge(dx, dy, cx, cy) * inverse
-                    v = edge(bx, by, dx, dy) * inverse
-                    covers = u >= 0 and v >= 0 and u + v <= 1
-                    if ti.static(see_through):
-                        covers = covers and screen_door(x, y, ti.static(s), samples) < opacity
-                    if covers:
-                        w = a[2] + u * (b[2] - a[2]) + v * (c[2] - a[2])
-                        put(seen, (y * width + x) * samples + s, w, identity)
-
-
-@ti.func
-def before_the_eye(a, b, c):
-    """The part beyond the cut plane of a triangle (view axes): corners a, b, c, d, and the number of triangles, abc and acd."""
-    nearer = [ti.cast(corner[2] < ti.f32(CUT_PLANE), ti.i32) for corner in (a, b, c)]
-    number = nearer[0] + nearer[1] + nearer[2]
-    odd = ti.cast(number == 1, ti.i32)  # whether the corner that lies alone on its side of the plane is the nearer one
-    p, q, r = a, b, c  # p: that corner
-    if nearer[1] == odd:
-        p, q, r = b, c, a
-    elif nearer[2] == odd:
-        p, q, r = c, a, b
-    to_q, to_r = on_cut_plane(p, q), on_cut_plane(p, r)
-    first, second, third, fourth, parts = p, to_q, to_r, to_r, 1
-    if number == 1:
-        first, second, third, parts = to_q, q, r, 2
-    elif number == 3:
-        parts = 0
-    return first, second, third, fourth, parts
-
-
-@ti.func
-def on_cut_plane(a, b):
-    return a + (b - a) * ((ti.f32(CUT_PLANE) - a[2]) / (b[2] - a[2]))
-
-
-@ti.kernel
-def draw_triangles(
-    ball: ti.template(),
-    corner: ti.template(),
-    style_of: ti.template(),
-    style: ti.template(),
-    see_through: ti.template(),
-    seen: ti.template(),
-    samples: ti.template(),
-    view: View,
-    width: ti.i32,
-    height: ti.i32,
-    count: ti.i32,
-):
-    """Triangles over balls, of those that reach behind the eye what lies before it. What is see-through casts no shadow."""
-    for i in range(count):
-        k, opacity = corner[i], ti.f32(1.0)
-        if ti.static(see_through):
-            opacity = style[style_of[i]][2]
-            if ti.static(seen.depth_only):
-                opacity = ti.floor(opacity)
-        a, b, c = to_view(view, ball[k[0]].xyz), to_view(view, ball[k[1]].xyz), to_view(view, ball[k[2]].xyz)
-        d, parts = c, 1
-        if view[3, 3] == 0 and ti.min(a[2], b[2], c[2]) <= ti.f32(NEAR_PLANE):
-            a, b, c, d, parts = before_the_eye(a, b, c)
-        for part in range(parts):
-            if part == 1:
-                b, c = c, d
-            p, q, r = screen(view, a), screen(view, b), screen(view, c)
-            if p[2] > 0 and q[2] > 0 and r[2] > 0:
-                draw_triangle(seen, samples, see_through, opacity, p, q, r, (TRIANGLE << 28) | i, width, height)
-
-
-@ti.func
 def rod_ends(view, p, q):
     """Both ends on the screen, the segment clipped at the near plane; closeness 0 where all of it lies behind."""
     a, b = to_view(view, p), to_view(view, q)
@@ -302,22 +200,3 @@ def draw_rods(
         a, b = rod_ends(view, ball[k[0]].xyz, ball[k[1]].xyz)
         if a[2] > 0 and b[2] > 0:
             draw_rod(seen, samples, a, b, radius[i], (ROD << 28) | i, width, height)
-
-
-@ti.kernel
-def find_normals(
-    ball: ti.template(),
-    corner: ti.template(),
-    start: ti.template(),
-    incident: ti.template(),
-    normal: ti.template(),
-    count: ti.i32,
-):
-    """Area-weighted normals of triangles that share one, gathered in a fixed order (the same bits every time)."""
-    for v in range(count):
-        total = vec3(0, 0, 0)
-        for e in range(start[v], start[v + 1]):
-            k = corner[incident[e]]
-            p = ball[k[0]].xyz
-            total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
-        normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))

@@ -17,6 +17,7 @@ INSIDE_TAP = (1.0, 3.0)  # texels, the first of four places, each a quarter turn
 WEAVE, TEXTURE = 3, 4  # numbers of patterns
 WOVEN_MEAN, THREAD_SLOPE = 0.772, 0.9  # brightness of a weave, tangent at the side of a thread
 MOST_TAPS = 8.0  # places of a texture in one pixel
+ALMOST_SQUARE = 0.25  # part by which one side of a pixel may be longer than the other for one place to do
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
@@ -120,7 +121,9 @@ def texture_at(scene: ti.template(), style, place, beside, below, low, high):
     way = beside
     if short > long:
         long, short, way = short, long, below
-    taps = ti.cast(ti.min(ti.ceil(long / ti.max(short, ti.f32(1.0))), ti.f32(MOST_TAPS)), ti.i32)
+    taps = ti.cast(
+        ti.min(ti.ceil(long / ti.max(short, ti.f32(1.0)) - ti.f32(ALMOST_SQUARE)), ti.f32(MOST_TAPS)), ti.i32
+    )
     taps = ti.max(taps, 1)
     wide = ti.max(short, long / taps)
     while wide > 2 and ti.max(across, down) > 1:

@@ -2,7 +2,7 @@
 
 from taichi_sim.kernels.render.backdrop import in_less_sky, nearest_plane, plane_colour
 from taichi_sim.kernels.render.finish import alpha_byte, encode
-from taichi_sim.kernels.render.occlusion import OPEN, occluded_near, open_share
+from taichi_sim.kernels.render.occlusion import OPEN, open_share
 from taichi_sim.kernels.render.raster import PLANE, SAMPLE_OFFSETS, TRIANGLE, View, vec3
 from taichi_sim.kernels.render.shade import axis, illuminate, light_inside, lit_side, pixel_ray, surface, tone
 from taichi_sim.kernels.render.shadow import COARSE_TEXELS
@@ -40,19 +40,15 @@ def weigh(scene: ti.template(), seen: ti.template(), on_screen, count, which, pi
             behind, _ = nearest_plane(on_screen, count, px, py)
         if w > behind:
             identity[s], near[s] = identity_of(seen, key), w
-    code, covered = 0, 0
+    code, covered, number = 0, 0, ti.Vector.one(ti.i32, samples)
     for s in ti.static(range(samples)):
         if identity[s] != 0:
             covered += 1
-            weight = 1
-            for t in ti.static(range(samples)):
-                if ti.static(t != s):
-                    if identity[t] != 0 and alike(scene, identity[s], near[s], identity[t], near[t]):
-                        if ti.static(t < s):
-                            weight = 0
-                        else:
-                            weight += ti.min(weight, 1)
-            code |= weight << (4 * s)
+            for t in ti.static(range(s + 1, samples)):
+                if identity[t] != 0 and alike(scene, identity[s], near[s], identity[t], near[t]):
+                    number[s] += ti.min(number[s], 1)
+                    number[t] = 0
+            code |= number[s] << (4 * s)
     return covered, code
 
 
@@ -92,7 +88,8 @@ def colour_of(scene: ti.template(), seen: ti.template(), view, light, look, eye,
     p, n, colour, gloss, through = surface(scene, view, eye, ray, identity_of(seen, key), w, px, py)
     share, openness = ti.f32(1.0), ti.f32(1.0)
     if ti.static(scene.has_occlusion):
-        openness = open_share(scene, identity_of(seen, key), w, x, y, width)
+        if scene.dim[y // TILE * tiles_across(width) + x // TILE] > 0:
+            openness = open_share(scene, identity_of(seen, key), w, x, y, width)
     if ti.static(scene.has_shadow):
         side, cosine = lit_side(n, lamp, through)
         if cosine > 0:
@@ -112,7 +109,8 @@ def behind_shares(scene: ti.template(), view, light, look, planes, eye, ray, k, 
     """Shares of the lamp and of the sky on a plane."""
     share, openness = ti.f32(1.0), ti.f32(1.0)
     if ti.static(scene.has_occlusion):
-        openness = open_share(scene, (PLANE << 28) | k, ti.f32(1.0), x, y, width)
+        if scene.dim[y // TILE * tiles_across(width) + x // TILE] > 0:
+            openness = open_share(scene, (PLANE << 28) | k, ti.f32(1.0), x, y, width)
     if ti.static(scene.has_shadow):
         pixel = y * width + x
         cell = scene.backdrop_cell[pixel]
@@ -192,8 +190,7 @@ def find_busy(scene: ti.template(), seen: ti.template(), width: ti.i32, height: 
     for tile in range(tiles_across(width) * tiles_across(height)):
         busy = seen.marked[tile]
         if ti.static(scene.has_occlusion):
-            if occluded_near(scene, tile, width, height):
-                busy = 1
+            busy |= scene.dim[tile]
         if ti.static(scene.has_shadow):
             box, cells = scene.tile_cells[tile], scene.shadow_size // COARSE_TEXELS
             for j in range(box[1], box[3] + 1):
@@ -224,13 +221,17 @@ def resolve(
     Where the scene is transparent, samples of background and ground have neither colour nor share in alpha; where it catches
     shadows, the ground is black with the alpha that darkens it by as much as they do.
     """
-    for pixel in range(width * height):
-        x, y = pixel % width, pixel // width
-        if scene.busy[y // TILE * tiles_across(width) + x // TILE] > 0:
-            shade(scene, seen, view, light, planes, on_screen, count, eye, look, width, height, x, y)
-        elif ti.static(scene.transparent):
-            scene.packed[pixel] = 0
-        elif ti.static(scene.samples > 1):
-            scene.packed[pixel] = scene.backdrop_packed[pixel]
-        else:
-            scene.image[pixel] = scene.backdrop[pixel]
+    run = ti.static(TILE if scene.has_wide_runs else 1)  # pixels of a row that one turn shades
+    for k in range(tiles_across(width) * tiles_across(height) * ti.static(TILE * TILE // run)):
+        tile, part = k // ti.static(TILE * TILE // run), k % ti.static(TILE * TILE // run) * run
+        y, x0 = tile // tiles_across(width) * TILE + part // TILE, tile % tiles_across(width) * TILE + part % TILE
+        for x in range(x0, ti.min(x0 + run, width) if y < height else x0):
+            pixel = y * width + x
+            if scene.busy[tile] > 0:
+                shade(scene, seen, view, light, planes, on_screen, count, eye, look, width, height, x, y)
+            elif ti.static(scene.transparent):
+                scene.packed[pixel] = 0
+            elif ti.static(scene.samples > 1):
+                scene.packed[pixel] = scene.backdrop_packed[pixel]
+            else:
+                scene.image[pixel] = scene.backdrop[pixel]

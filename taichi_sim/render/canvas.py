@@ -80,6 +80,7 @@ class Canvas:
         self.samples, self.transparent, self.shadow_size = samples, transparent, SHADOW_SIDE[samples]
         self._fields = fields = Fields(ti.f32, backend.has_wide_numbers())
         self.seen = Visibility(fields, size, samples)
+        self.has_wide_runs = backend.start().arch == "cpu"  # a device has threads for single pixels
         self.busy = fields.integers(tiles(*size))  # 0: a tile shows sky and ground in all light, nothing else
         self.packed = fields.integers(pixels + 3)  # bytes of the picture
         self.image = fields.vectors(pixels if samples == 1 else 1, 3)  # linear colours
@@ -108,6 +109,7 @@ class Canvas:
         if occlusion:
             # normal in the axes of the view; share of the sky that is seen, smoothed and not yet; tiles that see less than all
             self.lattice_normal, self.occluded = fields.vectors(points, 3), fields.integers(tiles(*size))
+            self.dim = fields.integers(tiles(*size))  # 1: a tile, or one beside it, sees less than all of the sky
             self.open, self.open_raw = fields.reals(points), fields.reals(points)
         fields.build()
         self.image.fill(0.0)  # see Buffers

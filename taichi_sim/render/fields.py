@@ -7,7 +7,7 @@ from taichi_sim.analysis.frame import Frame
 from taichi_sim.device import backend
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.kernels.render import raster, vertex_binding
+from taichi_sim.kernels.render import raster, triangles, vertex_binding
 from taichi_sim.render.content import Content
 from taichi_sim.render.palette import to_linear
 from taichi_sim.render.smoothing import Smoothing
@@ -161,7 +161,7 @@ class Buffers:
             )
 
     def find_normals(self) -> None:
-        raster.find_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.normals)
+        triangles.find_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.normals)
 
     def close(self) -> None:
         self._fields.free()

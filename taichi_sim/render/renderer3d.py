@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.kernels.render import occlusion, raster, shading_pass, shadow, shadow_lattice
+from taichi_sim.kernels.render import occlusion, raster, shading_pass, shadow, shadow_lattice, triangles
 from taichi_sim.render.camera import (
     Bounds,
     Camera,
@@ -227,7 +227,7 @@ class Renderer3D:
             raster.draw_rods(b.ball, b.rod, b.rod_radius, seen, samples, v, width, height, b.rods)
         if b.has_triangles:
             styles = (b.style_of, b.style, b.is_see_through)
-            raster.draw_triangles(b.ball, b.corner, *styles, seen, samples, v, width, height, b.triangles)
+            triangles.draw_triangles(b.ball, b.corner, *styles, seen, samples, v, width, height, b.triangles)
 
     def _extent(self, frame: Frame, most: float) -> Bounds:
         """Bounds of what shadows are made for: balls, embedded surfaces, and the colliders near them or in sight. They reach at
