@@ -17,10 +17,13 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
 
+ENDLESS = 1e15  # frames: what is longer counts as that
+
+
 def frame_count(fps: float, duration: float) -> int:
     """Number of frames of a run, `fps` [1/s] for `duration` [s]: round(fps x duration), and one more, since both the start and
     the end are among them."""
-    return round(fps * duration) + 1
+    return round(min(fps * duration, ENDLESS)) + 1
 
 
 @dataclass(frozen=True, slots=True)

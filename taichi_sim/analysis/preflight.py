@@ -98,11 +98,16 @@ def _of_impacts(scene: Scene, method: Method, h: float) -> Iterator[str]:
     why, cure = strikes.unanswered(scene, method, h)
     if why:
         yield f"impacts: {why}; {cure}"
-    elif h > (bounced := strikes.bounce_step(scene, method)):
+        return
+    bounced, resolved = strikes.bounce_step(scene, method), strikes.resolved_bounce_step(scene, method)
+    if h > min(bounced, resolved) * (1.0 + 1e-9):
+        restitution = f"restitution of {max_restitution(scene):g}"
+        what = f"bounce by their elasticity alone, without the {restitution}"
+        if h <= resolved:
+            what = f"that bounce at a {restitution} may gain energy"
         yield (
-            f"bounce: bodies of springs or elements that bounce at a restitution of {max_restitution(scene):g} may gain energy,"
-            f" because steps of {h:.3g} s by {method} do not resolve how fast their balls swing; take steps of"
-            f" {at_most(bounced)} s"
+            f"bounce: bodies of springs or elements {what}, because steps of {h:.3g} s by {method} do not resolve how fast"
+            f" their balls swing; take steps of {at_most(min(bounced, resolved))} s"
         )
 
 

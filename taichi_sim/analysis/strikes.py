@@ -26,6 +26,7 @@ __all__ = [
     "bounce_step",
     "fastest_swing",
     "may_strike",
+    "resolved_bounce_step",
     "safe_step",
     "strike_step",
     "unanswered",
@@ -34,6 +35,7 @@ __all__ = [
 # Longest step times the largest frequency of balls on their springs, omega h, at which nets, cloth and jelly struck by balls of
 # 5 to 450 times the mass of theirs gained less than a tenth of the kinetic energy before it: by stages, and by two passes
 ANSWERED, ANSWERED_BY_PASSES = 2.0, 1.0
+OWN_PART = 0.5  # of the bound of omega^2: what a ball's own springs give it where the balls around it stay, k of 2 k in a chain
 
 
 def strike_step(scene: Scene, method: Method) -> float:
@@ -64,6 +66,15 @@ def bounce_step(scene: Scene, method: Method) -> float:
     if not damped:
         rate += element_rates(scene).elastic
     return float(longest / np.sqrt(rate)) if rate > 0.0 else np.inf
+
+
+def resolved_bounce_step(scene: Scene, method: Method) -> float:
+    """The longest step [s] in which balls of springs or elements keep a restitution of their own, see
+    kernels.contacts.contact_law.swing; infinite where nothing bounces, and for explicit methods, which always do."""
+    if method.limit is None or method.limit.by_springs or max_restitution(scene) == 0.0:
+        return np.inf
+    omega = fastest_swing(scene)
+    return float(1.0 / (np.sqrt(OWN_PART) * omega)) if omega > 0.0 else np.inf
 
 
 def safe_step(scene: Scene, method: Method) -> float:
@@ -105,7 +116,7 @@ def unanswered(scene: Scene, method: Method, h: float) -> tuple[str, str]:
     """Words on why impacts of balls give energy in steps of h seconds, and the cure; both empty where they do not."""
     if h <= strike_step(scene, method) * (1.0 + 1e-9):
         return "", ""
-    step = safe_step(scene, method)
+    step = min(safe_step(scene, method), resolved_bounce_step(scene, method))
     swings = ""
     if step < strike_step(scene, method):
         bounce = max_restitution(scene)

@@ -70,6 +70,8 @@ def load_scene(
     value and what is allowed; FileNotFoundError when there is no such file, another OSError
     for a folder, a pipe or a device.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        raise SceneError("path", path, "the name of a scene file")
     file = Path(path)
     if not file.is_file():
         raise not_there(file, "scene file")

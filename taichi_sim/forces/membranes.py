@@ -73,7 +73,7 @@ class Membranes(Corners):
 
     @ti.func
     def _parts(self, u, v, of):
-        """What the columns u and v of a stress, times the area, give the corners."""
+        """Forces on the corners by the columns u and v of a stress [N/m]."""
         bu, bv, cu, cv = -of.area * of.bu, -of.area * of.bv, -of.area * of.cu, -of.area * of.cv
         b = u * bu + v * bv
         c = u * cu + v * cv

@@ -111,7 +111,7 @@ SOLVED, HELD, READY, TRIED, FOUND, SEARCHING, DOUBTFUL, WITHDRAWN, BEGUN, CODES 
 
 @ti.data_oriented
 class Stage:
-    """What the parts of a StageSolver share, see there and HeldBalls."""
+    """Members that the parts of a StageSolver share, see there and HeldBalls."""
 
     number: Any  # (bodies) of NUMBERS
     tally: Any  # (1) of TALLY

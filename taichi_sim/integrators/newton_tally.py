@@ -1,4 +1,4 @@
-"""How well an implicit stage was solved: what the rest of its residual gives to bodies, and what is left of it."""
+"""Tally of how well implicit stages were solved: what the rest of its residual gives to bodies, and what is left of it."""
 
 from taichi_sim.device.engine import ti
 from taichi_sim.integrators.newton_numbers import ADDED_NOISE, GIVEN_PARTS, MISSED_TOLERANCES, MOST_SIZE, Stage

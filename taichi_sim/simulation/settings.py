@@ -112,9 +112,7 @@ class Settings:
                 values[name] = validation.whole(name, values[name], 1, MOST_PARTS_GIVEN)
         values["settle"] = require_tolerance(values["settle"])
         if not _auto(values["dt"]):
-            values["dt"] = validation.number("dt", values["dt"], high=math.inf)
-            if not SHORTEST_DT <= values["dt"] <= LONGEST_DT:
-                raise SceneError("dt", values["dt"], f"from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds")
+            values["dt"] = seconds_of_step(values["dt"])
         if values["tolerance"] is not None:
             values["tolerance"] = validation.number("tolerance", values["tolerance"], positive=True)
             if values["tolerance"] >= 1.0:
@@ -219,6 +217,14 @@ def _surface_step(scene: Scene, contacts: Any) -> float:
 def part_of_bound(scene: Scene, method: Method) -> float:
     """Part of the stability bound that is safe in the long run."""
     return UNDAMPED if method.symplectic and not np.all(scene.damping > 0) else SAFETY
+
+
+def seconds_of_step(dt: Any) -> float:
+    """A step [s]. Raises SceneError where it is none that a simulation takes."""
+    seconds = validation.number("dt", dt, high=math.inf)
+    if not SHORTEST_DT <= seconds <= LONGEST_DT:
+        raise SceneError("dt", seconds, f"from {SHORTEST_DT:g} to {LONGEST_DT:g} seconds")
+    return seconds
 
 
 def _chosen(scene: Scene, values: dict[str, Any], forces: Sequence[Any]) -> dict[str, Any]:

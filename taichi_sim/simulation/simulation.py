@@ -42,7 +42,7 @@ from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.choices import compensates
 from taichi_sim.simulation.contact_capacity import NO_CAPACITY_KNOWN
 from taichi_sim.simulation.error_control import ErrorEstimate, check_digits
-from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.settings import Settings, seconds_of_step
 from taichi_sim.simulation.settling import Settled, require_tolerance, settle, still
 from taichi_sim.simulation.stepper import Stepper
 
@@ -413,9 +413,7 @@ class Simulation(Reader):
         if self.settings.tolerance is not None:
             raise ValueError("dt: the tolerance chooses the step of this simulation; make another one")
         parts, time = self.parts, self.time
-        settings = replace(
-            self.settings, dt=dt if dt == "auto" else validation.number("dt", dt, high=math.inf, positive=True)
-        )
+        settings = replace(self.settings, dt=dt if dt == "auto" else seconds_of_step(dt))
         seconds, substeps = settings.time_step(self.scene, self._stability)
         h = seconds / substeps
         self._warn(h)

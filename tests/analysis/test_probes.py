@@ -8,7 +8,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.lazy_frame import MomentsOf
 from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.quantities import measures, plain_number
+from taichi_sim.common.quantities import measured, plain_number
 from taichi_sim.outputs import export, open_output
 from taichi_sim.render.colouring import Colouring
 from taichi_sim.scene.probes import KINDS, ProbeSample
@@ -91,7 +91,7 @@ def test_arrays_and_the_summary_hold_them(sim, tmp_path):
     assert kept["tip.y"] == pytest.approx(x, abs=DIGITS)
     last, least, most = (f(kept["load.tension"]) for f in (lambda a: a[-1], np.min, np.max))
     assert summary.probes["load.tension"] == (last, least, most)
-    said = measures([last, least, most], [None] * 3, "N")
+    said = [measured(one, None, "N") for one in (last, least, most)]
     line = "load.tension {} in the last frame; least {}, peak {} of all frames"
     assert line.format(*said) in [" ".join(one.split()) for one in summary.lines()]
     assert any(line.startswith("uncertainty  not estimated; --error") for line in summary.lines())
