@@ -72,7 +72,14 @@ def parts_of(scene: Scene) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def restore_state(kind: Any, path: str | PathLike[str], overrides: Mapping[str, Any]) -> Any:
-    """A `kind` (Simulation) as `save_state` left it, with some arguments replaced. Raises SceneError for another file."""
+    """A `kind` (Simulation) as `save_state` left it, with some arguments replaced. Raises SceneError for
+    another file, or what names none."""
+    if isinstance(path, Snapshot):
+        raise SceneError(
+            "path", says="a Snapshot is no file; make a Simulation of its scene, and call its resume(snapshot)"
+        )
+    if not isinstance(path, (str, PathLike)):
+        raise SceneError("path", path, "the name of a file that Simulation.save wrote")
     try:
         arrays = read_npz(path)
     except FileNotFoundError:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.common import validation
+from taichi_sim.common.errors import SceneError, short, words_of
 from taichi_sim.common.version import __version__
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.scene import Scene
@@ -163,7 +164,7 @@ def _tried(
     from taichi_sim.simulation.structure import kind_of
 
     base = {axis.path: axis.tried[0] for axis in axes}
-    first = subject.scene(base, seeds[-1])
+    first = _made(subject, base, seeds[-1])
     checked_output(first)
     with first.in_file(dict(given)):
         Settings.resolve(first, dict(given))
@@ -173,6 +174,17 @@ def _tried(
         known: dict[str, int] = {}
         kinds[axis.path] = {}
         for value in values:
-            made = subject.scene(base | {axis.path: value}, seeds[0])
+            made = _made(subject, base | {axis.path: value}, seeds[0])
             kinds[axis.path][repr(value)] = known.setdefault(kind_of(made), len(known))
     return kinds, first
+
+
+def _made(subject: Subject, parameters: Mapping[str, Any], seed: int | None) -> Any:
+    """The scene of some parameters. Raises SceneError, which names them where a user's function ends with another error."""
+    try:
+        return subject.scene(parameters, seed)
+    except (SceneError, OSError):
+        raise
+    except Exception as error:
+        given = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items()) or "its defaults"
+        raise SceneError("scene", says=f"cannot be made with {given}; {words_of(error)}") from error

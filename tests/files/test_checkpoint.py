@@ -128,6 +128,16 @@ def test_another_file_is_refused(tmp_path, put, said):
         ts.Simulation.restore(tmp_path / "other.npz")
 
 
+def test_what_is_no_file_is_refused():
+    with (
+        ts.Simulation(small_scene()) as sim,
+        pytest.raises(ts.SceneError, match=r"path: a Snapshot is no file.*resume"),
+    ):
+        ts.Simulation.restore(sim.snapshot())
+    with pytest.raises(ts.SceneError, match=r"path: 3 is not allowed.*Simulation\.save"):
+        ts.Simulation.restore(3)
+
+
 def test_saving_into_a_missing_folder_writes_nothing(tmp_path):
     with ts.Simulation(small_scene()) as sim, pytest.raises(FileNotFoundError, match="there is no folder"):
         sim.save(tmp_path / "none" / "state.npz")

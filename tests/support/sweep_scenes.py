@@ -58,6 +58,13 @@ def mortal(restitution=0.5):
     return heap(restitution)
 
 
+def square(side=2):
+    """A ball whose mass nobody can work out where `side` is 0."""
+    scene = heap()
+    scene.add_balls([[5.0, 5.0]], radius=0.05, mass=1 / side)
+    return scene
+
+
 def springs(stiffness=100.0, mass=1.0):
     """A ball on a damped spring, which ends where m g = k x."""
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from physics_support import PRECISION
-from sweep_scenes import both, heap, heap_file, hostile, mortal, slow, springs, top
+from sweep_scenes import both, heap, heap_file, hostile, mortal, slow, springs, square, top
 
 import taichi_sim as ts
 from taichi_sim.common.atomic_file import locked
@@ -278,6 +278,7 @@ def test_measures_by_name():
         ({"scene": 7}, "scene: 7 is not allowed"),
         ({"scene": slow}, "scene.output.duration: 'long' is not allowed"),
         ({"scene": lambda: None}, "scene: a lambda has no name"),
+        ({"scene": square, "vary": {"side": [2, 0]}}, r"scene: cannot be made with side = 0; ZeroDivisionError"),
     ],
 )
 def test_what_is_refused_before_anything_runs(given, why, tmp_path):
