@@ -40,6 +40,7 @@ SUMS = (
         "kinetic",
         "within",
         "noise",
+        "blur",
         "load",
         "potential",
         "potential_before",
