@@ -25,6 +25,7 @@ from taichi_sim.device.engine import ti
 
 HALF_DIAGONAL, SLACK = 0.8660255, 1e-3  # of a cell, and for rounding
 PARTS = 3  # along each axis of a cell: in each of them a triangle of its list may be closest
+DOUBTFUL = 0.1  # of the error that is allowed: in the middle of a cell, where it may be larger elsewhere
 UNSAFE = 0.2  # of a distance: an error that those who march along it, see ccd_colliders.MARCH_SAFETY, bear
 
 
@@ -163,24 +164,28 @@ def find_inexact(
     near: ti.types.ndarray(ti.i32, 3),
     frame: ti.types.ndarray(ndim=1),
 ):
-    """A triangle near each cell (near, at its lowest corner) within frame[5] m of the mesh where the values at its corners would
-    be wrong somewhere between, looked at halfway; else -1. Wrong is more than frame[6] m at places within frame[7] m, where
-    balls touch, and farther away, where they only approach, more than a share of the distance."""
+    """A triangle near each cell (near, at its lowest corner) where the values at its corners would be wrong somewhere between,
+    looked at halfway; else -1. Wrong is more than frame[6] m at places within frame[7] m, where balls touch, and farther away,
+    where they only approach, more than a share of the distance. Beyond frame[5] m of the mesh values are wrong only where two
+    places of it are as near, as between the sides of a corner: there they are too small, and so in the middle of the cell."""
     low, cell = lowest(frame), frame[3]
     for k, j, i in ti.ndrange(value.shape[0] - 1, value.shape[1] - 1, value.shape[2] - 1):
-        least = frame[5]
+        least = frame[7] + cell
         for c in ti.static(range(8)):
             least = ti.min(least, ti.abs(corner_value(value, k, j, i, c)))
         triangle_near, wrong = closest[k, j, i], False
-        place = 0
-        while least < frame[5] and place < 27 and not wrong:
+        place, places = 0, ti.select(least < ti.max(frame[5], frame[7]), 27, 0)
+        while place < places and not wrong:
             number = (place + 13) % 27  # from the middle on
             part = 0.5 * ti.Vector([number % 3, number // 3 % 3, number // 9])
             p = low + cell * (part + ti.Vector([i, j, k]))
             d, _, t = signed_distance(box, link, triangle, 0, link[0], triangle_near, p)
+            error = interpolated(value, k, j, i, part) - d
             if place == 0:
                 triangle_near = t
-            error = ti.abs(interpolated(value, k, j, i, part) - d)
+                if least > frame[5] and error > -DOUBTFUL * frame[6]:
+                    places = 0
+            error = ti.abs(error)
             wrong = error > frame[6] and (ti.abs(d) < frame[7] or error > UNSAFE * ti.abs(d))
             place += 1
         if wrong:

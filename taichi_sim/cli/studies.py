@@ -27,8 +27,8 @@ def sweep(
     vary: Annotated[
         list[str] | None,
         typer.Option(
-            help="PATH=VALUES, like materials.rubber.restitution=0.1:0.9:9, cloth[0].stiffness=1e2:1e4:5:log or simulation.dt=1e-3,5e-4; a"
-            " range like 0.1:0.9 for designs that sample. May be given several times."
+            help="PATH=VALUES, like materials.rubber.restitution=0.1:0.9:9, cloth[0].stiffness=1e2:1e4:5:log or"
+            " simulation.dt=1e-3,5e-4; a range like 0.1:0.9 for designs that sample. May be given several times."
         ),
     ] = None,
     seeds: Annotated[int | None, typer.Option(help="Runs of each point, each with another seed.")] = None,

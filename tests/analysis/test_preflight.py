@@ -86,7 +86,9 @@ def test_bodies_that_bounce_at_steps_too_long_for_them_are_warned_of(method, res
 @pytest.mark.parametrize("method", [TR_BDF2, IMPLICIT_EULER, XPBD])
 def test_steps_in_which_bodies_have_no_restitution_of_their_own_are_told(method):
     scene = truss(0.3, 0.0)
-    (words,) = [words for words in cautions(scene, Setup(method, 0.03, "f64", "jacobi")) if words.startswith("bounce: ")]
+    (words,) = [
+        words for words in cautions(scene, Setup(method, 0.03, "f64", "jacobi")) if words.startswith("bounce: ")
+    ]
     assert "by their elasticity alone, without the restitution of 0.3" in words
     step = float(words.split()[-2])
     assert 0.005 < step < 0.03
