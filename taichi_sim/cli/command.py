@@ -64,7 +64,7 @@ Codec = Annotated[str | None, typer.Option(help="Of a video: h264 (usual) or h26
 Transparent = Annotated[bool, flag("transparent", "PNG frames without background and ground, with alpha.")]
 Workers = Annotated[int | None, typer.Option(help="Processes; one for each core otherwise, 0: this one alone.")]
 Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of a Dask scheduler, instead.")]
-Limit = Annotated[float, typer.Option(help="Wall seconds that one run may take.")]
+Limit = Annotated[float, typer.Option(help="Seconds of processor time that one run may take.")]
 # with "threads", arguments of a Simulation; those of PROCESS are given to whatever runs in it
 SIMULATION = ("arch", "dt", "tolerance", "integrator", "contacts", "precision", "settle")
 PROCESS = ("arch", "precision", "threads")
