@@ -59,9 +59,13 @@ def _width(collider: Collider) -> tuple[float, bool]:
     return (float(collider.half.min()), True) if collider.kind == BOX else (collider.radius, False)
 
 
-def _mind(scene: Scene, collider: Collider) -> NDArray[np.bool_]:
-    """Triangles (t,) whose balls a collider collides with."""
-    return meet(scene.group, scene.mask, collider.group, collider.mask)[scene.triangles].all(axis=1)
+def _solids(scene: Scene) -> Iterator[tuple[int, Collider, NDArray[np.bool_]]]:
+    """Colliders that are not hollow, with their numbers, and the triangles (t,) whose balls they collide with, where there are
+    some."""
+    for k, collider in enumerate(scene.colliders):
+        minds = meet(scene.group, scene.mask, collider.group, collider.mask)[scene.triangles].all(axis=1)
+        if collider.hollow <= 0.0 and minds.any():
+            yield k, collider, minds
 
 
 def sieves(scene: Scene) -> Iterator[Sieve]:
@@ -70,10 +74,7 @@ def sieves(scene: Scene) -> Iterator[Sieve]:
         return
     around, slit, side = holes(scene)
     radius = scene.radius[scene.triangles].min(axis=1)
-    for k, collider in enumerate(scene.colliders):
-        minds = _mind(scene, collider)
-        if collider.hollow > 0.0 or not minds.any():
-            continue
+    for k, collider, minds in _solids(scene):
         half, flat = _width(collider)
         found = _sieve(scene, collider.in_words(k), half, slit if flat else around, radius, side, minds)
         if found is not None:
@@ -209,10 +210,7 @@ def _at_edges(scene: Scene, ball: Floats, least: Floats, named: set[str]) -> Ite
     shortest side of each triangle [m]; named: colliders of which it is said that all of them go through."""
     x = scene.position[scene.triangles]
     side = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
-    for k, collider in enumerate(scene.colliders):
-        minds = _mind(scene, collider)
-        if collider.hollow > 0.0 or not minds.any():
-            continue
+    for k, collider, minds in _solids(scene):
         edges = _Edges.of(collider)
         sharpest = math.cos(0.5 * float(edges.angle.min(initial=math.pi)))
         worst = int(np.argmax(np.where(minds, 0.5 * side * sharpest - ball, -np.inf)))
@@ -239,9 +237,8 @@ def findings(scene: Scene) -> Iterator[tuple[str, str]]:
         return
     around, _, side = holes(scene)
     ball = scene.radius[scene.triangles].min(axis=1)
-    for k, collider in enumerate(scene.colliders):
-        minds = _mind(scene, collider)
-        if collider.kind != ROUND or collider.hollow > 0.0 or not minds.any():
+    for k, collider, minds in _solids(scene):
+        if collider.kind != ROUND:
             continue
         worst = int(np.argmax(np.where(minds, around - ball, -np.inf)))
         if collider.radius + ball[worst] <= around[worst]:  # it goes through

@@ -571,8 +571,8 @@ def prism(width, height, length, turned=0.0):
     ids=["wedge", "leaning wedge", "rod", "hatchet"],
 )
 def test_no_more_of_a_solid_comes_through_cloth_than_there_is(collider, across, reach):
-    """Where all of it fits between the balls that is said, and nothing of its edges, whose depth without the solid's end is up to
-    10 m here."""
+    """A solid that fits between the balls is said to, and nothing of its edges, whose depth without the solid's end is up to 10 m
+    here."""
     scene = ts.Scene(dim=3)
     scene.add_collider(collider)
     ts.shapes.cloth(scene, size=(1, 1), resolution=(14, 14), surface_collision=True)

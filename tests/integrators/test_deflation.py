@@ -43,8 +43,8 @@ def test_long_searches_leave_no_momentum(monkeypatch):
 
 @pytest.mark.slow
 def test_a_sheet_that_folds_over_a_sphere_is_solved_in_few_passes():
-    """Which balls rest on it was renewed only after a solution, changes that folds spoil were solved for too well, and most
-    iterations went into the momentum of the sheet: 125 passes a stage."""
+    """A stage took 125 passes. What surfaces hold was renewed only after a solution, changes that folds spoil were solved for too
+    well, and most iterations went into the momentum of the sheet."""
     with simulate(on_a_sphere(0.8, 56, 0.2, 0.21), integrator="implicit_euler", dt=1 / 240) as sim:
         energy = [sim.energy().total]
         for _ in range(65):
