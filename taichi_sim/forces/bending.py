@@ -59,16 +59,6 @@ class Bending(Corners):
         return f
 
     @ti.func
-    def squares_on(self, ball: ti.template(), i, time, real: ti.template()):
-        """Sum of the squares of the forces that `force_on` adds [N^2]."""
-        total = ti.cast(0.0, real)
-        if ti.static(self.coupled):
-            total += self.couplings.squares_on(ball, i, time, real)
-        else:
-            total += Corners.squares_on(self, ball, i, time, real)
-        return total
-
-    @ti.func
     def add_products(self, p: ti.template(), ball: ti.template(), total: ti.template(), s):
         """total (n) += (s^2 K + s D) p."""
         if ti.static(self.coupled):

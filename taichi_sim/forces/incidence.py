@@ -165,16 +165,6 @@ class Corners:
         return f
 
     @ti.func
-    def squares_on(self, ball: ti.template(), i, time, real: ti.template()):
-        """Sum of the squares of the forces that `force_on` adds [N^2]; after `prepare`."""
-        total = ti.cast(0.0, real)
-        for t in range(self.start[i + 1] - self.start[i]):
-            e = list_entry(self, i, t)
-            if self.is_whole(e):
-                total += ti.cast(self.corner_force(ball, i, self.row[e], time), real).norm_sqr()
-        return total
-
-    @ti.func
     def product_at(self, ball: ti.template(), i, s):
         """Rows of ball i of (s^2 K + s D) p; after `prepare_product`."""
         f = ti.Vector.zero(float, self.dim)

@@ -64,14 +64,6 @@ class StageElements:
                 total[i] = total[i] + padded_blocks.pad(s * one.force_on(there, i, self.time[0]), self.dim)
 
     @ti.func
-    def squares(self, i):
-        """Sum of the squares of the impulses that the last `push` added up for ball i [(N s)^2]."""
-        total = ti.cast(0.0, self.wide)
-        for one, there in ti.static(zip(self.elements, self.there)):
-            total += one.squares_on(there, i, self.time[0], self.wide)
-        return ti.cast(self.step[0], self.wide) ** 2 * total
-
-    @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
         """total (n) += the elements' part of the matrix times p (n), all padded."""
         for i in range(self.n):

@@ -40,7 +40,6 @@ SUMS = (
         "kinetic",
         "within",
         "noise",
-        "blur",
         "load",
         "potential",
         "potential_before",

@@ -245,7 +245,7 @@ class Verdicts(Tallies):
     def unsolved(self, b):
         """1 if another iteration is due, else 0: the first is, for a small residual may hide a slow mode. Then not where the
         residual is small, nor where the last change was, unless it gives energy; nor where the residual may be rounding and
-        the last change, too, or changes do not shrink any more."""
+        changes do not shrink any more."""
         residual, moved = self.number[b].residual, self.number[b].moved
         iterations = self.number[b].iterations
         least = ti.min(residual, moved)
@@ -259,9 +259,8 @@ class Verdicts(Tallies):
             self.number[b].target = ti.max(finer * least, finest)
         target = self.number[b].target
         large = residual > target and moved > target and self.number[b].searches < MOST_SEARCHES
-        floor = self.number[b].floor
-        if residual < floor:
-            large = large and floor < moved < SHRINKING_CHANGE * self.number[b].moved_before
+        if residual < self.number[b].noise and iterations > 1.0:
+            large = large and moved < SHRINKING_CHANGE * self.number[b].moved_before
         first = iterations == 0.0 and residual > 0.0
         return ti.cast(first or (large and iterations < MOST_ITERATIONS), ti.i32)
 

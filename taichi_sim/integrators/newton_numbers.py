@@ -78,10 +78,8 @@ NUMBERS = (
     *(
         "within",
         "noise",
-        "floor",
         "load",
-    ),  # of what deforms; of a residual that may be rounding of places and velocities; of one that may be rounding of these, or
-    # of the forces that it sums; of what acts from outside and deforms
+    ),  # of what deforms; of a residual that may be rounding; of what acts from outside and deforms
     "scale_of_blocks",  # `scale` when blocks were made
     "flies",  # 1 where nothing but rounding acts, else 0
     *(

@@ -19,7 +19,7 @@ class Sizes(Verdicts):
         """Inverse blocks of the matrix and of levels, and the size of the residual, where guesses were added or taken back."""
         self.bodies.each_part(self._measure, (s,))
         self.bodies.join((self.part.residual, self.part.force, self.part.kinetic))
-        self.bodies.join((self.part.within, self.part.noise, self.part.blur, self.part.load))
+        self.bodies.join((self.part.within, self.part.noise, self.part.load))
         self.bodies.join((self.part.given, self.part.taken, self.part.moving))
         if ti.static(self.holds):
             self.bodies.join((self.part.borne, self.part.lack))
@@ -34,9 +34,7 @@ class Sizes(Verdicts):
                 self.number[b].scale_of_blocks = self.number[b].scale
                 within = self.bodies.total(self.part.within, b)
                 self.number[b].within = ti.max(self.number[b].force, within)
-                noise = self.bodies.total(self.part.noise, b)
-                self.number[b].noise = CERTAIN_NOISE * noise
-                self.number[b].floor = CERTAIN_NOISE * (noise + self.bodies.total(self.part.blur, b))
+                self.number[b].noise = CERTAIN_NOISE * self.bodies.total(self.part.noise, b)
                 self.number[b].load = self.bodies.total(self.part.load, b)
                 if ti.static(self.holds):
                     self.number[b].near = self.bodies.total(self.part.near, b)
@@ -65,7 +63,7 @@ class Sizes(Verdicts):
     def _measure(self, c, s):
         """Part c of the residual and of the inverse blocks, and what they sum up to."""
         if self.begins(self.bodies.part[c].body):
-            residual = force = kinetic = within = noise = blur = load = held = near = ti.cast(0.0, self.wide)
+            residual = force = kinetic = within = noise = load = held = near = ti.cast(0.0, self.wide)
             change = self.free.change[self.bodies.part[c].body]
             alike = self._kick_of_all(self.bodies.part[c].body)
             for k in range(self.bodies.part[c].count):
@@ -88,10 +86,8 @@ class Sizes(Verdicts):
                     within += ti.cast(ti.max(own.norm_sqr(), whole.norm_sqr()) / w, self.wide)
                     load += ti.cast((self.kick[i] - alike).norm_sqr() / w, self.wide)
                     far, speed = ti.abs(self.base[i].x).max(), self.eps * ti.abs(self.first[i]).max()
-                    shake, sway = s * self.rough[i] * far + speed / w, self.eps_of_places / s * far + speed
-                    noise += ti.cast(shake * shake * inverse.trace() + sway * sway * of_elements.trace(), self.wide)
-                    if ti.static(self.has_elements):
-                        blur += ti.static((0.5 * self.eps) ** 2) * self.elements.squares(i) * inverse.trace()
+                    blur, sway = s * self.rough[i] * far + speed / w, self.eps_of_places / s * far + speed
+                    noise += ti.cast(blur * blur * inverse.trace() + sway * sway * of_elements.trace(), self.wide)
                     if ti.static(self.holds):
                         held += ti.select(self.held.holds(i), 1.0, 0.0)
                         near += ti.select(self.held.could_hold(i), 1.0, 0.0)
@@ -100,7 +96,7 @@ class Sizes(Verdicts):
             self.part[c].force = force
             self.part[c].kinetic = kinetic
             self.part[c].within = within
-            self.part[c].noise, self.part[c].blur = noise, blur
+            self.part[c].noise = noise
             self.part[c].load = load
             if ti.static(self.holds):
                 self.part[c].held = held

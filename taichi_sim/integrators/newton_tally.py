@@ -51,7 +51,7 @@ class Tallies(Stage):
         indefinite = self.number[b].residual < 0.0 or self.number[b].force < 0.0  # even where nothing else acts
         ti.atomic_max(self.stage[0].passes, ti.cast(self.number[b].passes, ti.i32))
         within = ti.min(self.number[b].within, scale)
-        if not self.is_rounding(b, ti.max(within, left), ADDED_NOISE * self.number[b].floor):
+        if not self.is_rounding(b, ti.max(within, left), ADDED_NOISE * self.number[b].noise):
             left = ti.max(ti.sqrt(left / scale), self.number[b].gained)
             ti.atomic_max(self.stage[0].worst, ti.cast(left, float))
             if left > MISSED_TOLERANCES * self.tolerance:
