@@ -39,7 +39,7 @@ def draw():
 
 
 def expected(place):
-    """Triangle of each sample that `draw` should find, counted from 1, or 0; in double precision, by all samples of each triangle."""
+    """Triangle that `draw` should find at each sample, counted from 1, or 0: in double precision, by all samples."""
     place = place.astype(np.float32).astype(float)
     x, y = WIDTH / 2 + FOCAL * place[..., 0] / place[..., 2], HEIGHT / 2 - FOCAL * place[..., 1] / place[..., 2]
     offset = np.array(SAMPLE_OFFSETS[SAMPLES])
