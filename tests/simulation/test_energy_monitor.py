@@ -473,14 +473,21 @@ def test_an_implicit_step_that_gains_energy_is_told():
 @pytest.mark.slow
 @pytest.mark.skipif(not F64, reason="single precision leaves stages of so stiff a chain unsolved, and says so")
 def test_an_implicit_step_of_a_stiff_chain_that_gains_energy_is_told():
-    x = 0.15 * np.arange(9.0)
-    scene = ts.Scene(dim=2, gravity=(0, -9.81))
-    balls = scene.add_balls(np.stack([x * np.cos(0.2), x * np.sin(0.2)], 1), radius=0.01, mass=0.08, pinned=[0])
-    scene.add_springs(np.stack([balls[:-1], balls[1:]], 1), stiffness=1e8)
-    with simulate(scene, integrator="implicit_euler", dt=0.02, substeps=1, contacts="off") as sim:
-        with pytest.warns(UserWarning, match="implicit_euler gained 0.01 of the largest kinetic energy in one step"):
-            sim.run(1.5)
-        assert sim.solver().misses == 0
+    """Its stages are solved to 0.03 of the impulses, which says little of springs so stiff. Those of a hundredth of the
+    stiffness gain nothing."""
+    x = 0.15 * np.arange(5.0)
+    for stiffness, gains in ((1e8, True), (1e6, False)):
+        scene = ts.Scene(dim=2, gravity=(0, -9.81))
+        balls = scene.add_balls(np.stack([x * np.cos(0.2), x * np.sin(0.2)], 1), radius=0.01, mass=0.08, pinned=[0])
+        scene.add_springs(np.stack([balls[:-1], balls[1:]], 1), stiffness=stiffness)
+        with simulate(scene, integrator="implicit_euler", dt=0.05, substeps=1, contacts="off") as sim:
+            with warnings.catch_warnings(record=True) as said:
+                warnings.simplefilter("always")
+                sim.run(1.5)
+            told = [str(one.message) for one in said if "largest kinetic energy in one step" in str(one.message)]
+            assert len(told) == gains
+            assert (sim.scales().gained > 0.01) == gains
+            assert sim.solver().misses == 0
 
 
 def test_a_gain_of_a_step_counts_beyond_rounding_and_lift():
