@@ -137,18 +137,23 @@ class Fields:
 
     def doubles(self, n: int) -> Any:
         """n zeros in double precision, for sums; in single precision where the device has no other."""
-        return self._place(
-            lambda: ti.field(self.wide), str(self.wide), n, None, 8 if self.has_wide_numbers else self._size
-        )
+        real, size = self._kind(True)
+        return self._place(lambda: ti.field(real), str(real), n, None, size)
 
-    def vectors(self, n: int, dim: int) -> Any:
-        """n zero vectors."""
-        return self._place(lambda: ti.Vector.field(dim, self.real), (str(self.real), dim), n, None, self._size * dim)
+    def vectors(self, n: int, dim: int, *, wide: bool = False) -> Any:
+        """n zero vectors; wide: of the type `wide`."""
+        real, size = self._kind(wide)
+        return self._place(lambda: ti.Vector.field(dim, real), (str(real), dim), n, None, size * dim)
 
-    def matrices(self, n: int, dim: int) -> Any:
-        """n zero matrices (dim, dim)."""
-        kind = (str(self.real), dim, dim)
-        return self._place(lambda: ti.Matrix.field(dim, dim, self.real), kind, n, None, self._size * dim * dim)
+    def matrices(self, n: int, dim: int, *, wide: bool = False) -> Any:
+        """n zero matrices (dim, dim); wide: of the type `wide`."""
+        real, size = self._kind(wide)
+        return self._place(lambda: ti.Matrix.field(dim, dim, real), (str(real), dim, dim), n, None, size * dim * dim)
+
+    def _kind(self, wide: bool) -> tuple[Any, int]:
+        """Type of wide numbers, or of those of the run, and its bytes."""
+        real = self.wide if wide else self.real
+        return real, 8 if real == ti.f64 else 4
 
     def spins(self, n: int, dim: int) -> Any:
         """n zero spins: a scalar each in 2D, a vector in 3D."""

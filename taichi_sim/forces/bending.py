@@ -50,8 +50,8 @@ class Bending(Corners):
 
     @ti.func
     def force_on(self, ball: ti.template(), i, time):
-        """Force on ball i [N]."""
-        f = ti.Vector.zero(float, self.dim)
+        """Force on ball i [N], in the precision of places."""
+        f = ti.Vector.zero(ball.x.dtype, self.dim)
         if ti.static(self.coupled):
             f += self.couplings.force_on(ball, i, time)
         else:

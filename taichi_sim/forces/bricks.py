@@ -19,7 +19,7 @@ class Bricks(NeoHookean):
 
     Viscosity acts on the rates of the strain (F^T F - 1) / 2 and of Q. Amplitudes are sums over the corners with signs, those of
     the sides that an amplitude's number names by its bits; all are sums and differences of pairs. Each brick computes the forces
-    on its corners once, into `push`; balls gather them.
+    on its corners once, into `force`, and products into `given`; balls gather them.
     """
 
     name = "bricks"
@@ -55,7 +55,7 @@ class Bricks(NeoHookean):
         self.law = fields.table(dict.fromkeys(values, fields.real) | slope, len(own), values | {"slope": 2.0 / size})
         columns = {"balls": ti.types.vector(self.k, ti.i32), "law": ti.i32}
         self.brick = fields.table(columns, self.count, {"balls": scene.bricks, "law": law})
-        self.push = fields.vectors(self.count * self.k, dim)  # N
+        self.given = self.force = fields.vectors(self.count * self.k, dim)
         self.gather(
             model,
             fields,
@@ -134,9 +134,9 @@ class Bricks(NeoHookean):
         return t
 
     @ti.func
-    def _push(self, e, law, stress, gradient, u, t):
-        """Write the forces on the corners of brick e, of the stress of the centre and the derivative by Q."""
-        f = ti.Matrix.zero(float, self.k, self.dim)
+    def _give(self, given: ti.template(), e, law, stress, gradient, u, t):
+        """Note for the corners of brick e what each gets, of the stress of the centre and the derivative by Q."""
+        f = ti.Matrix.zero(given.dtype, self.k, self.dim)
         share = -law.volume / self.k
         for p in ti.static(self.bent):
             for s in ti.static(range(self.dim)):
@@ -154,7 +154,7 @@ class Bricks(NeoHookean):
                         f[c, j], f[c | bit, j] = same - signed, same + signed
         for c in ti.static(range(self.k)):
             for j in ti.static(range(self.dim)):
-                self.push[e * self.k + c][j] = f[c, j]
+                given[e * self.k + c][j] = f[c, j]
 
     @ti.func
     def _rates(self, ball: ti.template(), e, law, gradient, u, real: ti.template()):
@@ -183,14 +183,15 @@ class Bricks(NeoHookean):
                 strain, bent = self._rates(ball, e, law, gradient, u, ball.x.dtype)
                 stress += law.delay * law.mu * gradient @ (strain + strain.transpose())
                 q += law.delay * bent
-            t = ti.cast(self._bending(q, law, ball.x.dtype), float)
-            self._push(e, law, ti.cast(stress, float), ti.cast(gradient, float), ti.cast(u, float), t)
+            self._give(self.force, e, law, stress, gradient, u, self._bending(q, law, ball.x.dtype))
 
     # The derivatives, for implicit methods: those of Q without what is negative
 
     def allocate_derivatives(self, fields: Fields) -> None:
-        """Declare the axes of bricks, and blocks of their corners."""
+        """Declare the axes of bricks, blocks of their corners, and forces in the precision of places."""
         self.allocate_axes(self.count, fields)
+        if fields.wide != fields.real:
+            self.force = fields.vectors(self.count * self.k, self.dim, wide=True)
         self.block = fields.matrices(self.count * self.k, self.dim)  # kg
 
     @ti.func
@@ -258,12 +259,12 @@ class Bricks(NeoHookean):
             u, moved = self._amplitudes(ball, e, "x", float), self._amplitudes(ball, e, "p", float)
             gradient, change = self._gradient(u, law.slope, float), self._gradient(moved, law.slope, float)
             stress, t = self._changes(e, law, gradient, u, change, moved, s)
-            self._push(e, law, stress, gradient, u, t)
+            self._give(self.given, e, law, stress, gradient, u, t)
 
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):
         """Rows of ball i of the product."""
-        return -self.push[row.place]
+        return -self.given[row.place]
 
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):
@@ -273,7 +274,7 @@ class Bricks(NeoHookean):
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
         """Force of a brick on ball i [N]."""
-        return self.push[row.place]
+        return self.force[row.place]
 
     @ti.func
     def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):

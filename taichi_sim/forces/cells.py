@@ -109,7 +109,9 @@ class Cells(Corners):
         if ti.static(self.shared):
             for g in range(self.groups):
                 part, modulus, crush, _ = self._together(ball, g)
-                self.pressure[g] = ti.cast(modulus * (part - 1.0) + crush * min(part - CRUSHED, 0.0), float)
+                self.pressure[g] = ti.cast(
+                    modulus * (part - 1.0) + crush * min(part - CRUSHED, 0.0), self.pressure.dtype
+                )
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
@@ -135,9 +137,11 @@ class Cells(Corners):
     # The derivatives, for implicit methods
 
     def allocate_derivatives(self, fields: Fields) -> None:
-        """Declare the stiffness of each group by its volume [Pa/m^dim], and the change of its pressure in a product."""
+        """Declare the stiffness of each group by its volume [Pa/m^dim], the change of its pressure in a product, and its
+        pressure in the precision of places."""
         if self.shared:
             self.slope, self.change = fields.reals(self.groups), fields.reals(self.groups)
+            self.pressure = fields.doubles(self.groups)
 
     @ti.func
     def prepare_blocks(self, ball: ti.template(), s):

@@ -22,8 +22,8 @@ class Corners:
     """Base of a force of elements: `start` (n + 1) and `row`, those of ball i from start[i] to start[i + 1], in the order of
     the elements. may_slice: true where only the methods below read `start` and `row`, which a device may then have in slices,
     see kernels.loops.list_entry. staged: true in an implicit stage. derivatives: 1 where the energy is of strains, 2 where it
-    is of curvatures. refined: in an implicit stage ball[j].x has double precision. `gone` (r), where springs can tear: rows
-    whose element has lost a side, see forces.tearing.
+    is of curvatures. refined: in an implicit stage ball[j].x has double precision, and forces are added in it. `gone` (r), where
+    springs can tear: rows whose element has lost a side, see forces.tearing.
 
     Elements that give `corner_product`, `corner_block` and `corner_energy` are implicit in implicit methods: a stage of s seconds
     that ends at places x = p + s v minimises sum m |q - v|^2 / 2 + W(x) + s R(x, v), W the energy and R half of the power that
@@ -156,12 +156,12 @@ class Corners:
 
     @ti.func
     def force_on(self, ball: ti.template(), i, time):
-        """Force on ball i [N]; after `prepare`."""
-        f = ti.Vector.zero(float, self.dim)
+        """Force on ball i [N], in the precision of places; after `prepare`."""
+        f = ti.Vector.zero(ball.x.dtype, self.dim)
         for t in range(self.start[i + 1] - self.start[i]):
             e = list_entry(self, i, t)
             if self.is_whole(e):
-                f += ti.cast(self.corner_force(ball, i, self.row[e], time), float)
+                f += ti.cast(self.corner_force(ball, i, self.row[e], time), ball.x.dtype)
         return f
 
     @ti.func

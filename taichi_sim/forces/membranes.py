@@ -23,7 +23,8 @@ class Membranes(Corners):
     gather. On one thread explicit methods add these in the same order to the balls instead, in `sum`, and read copies of places
     and velocities, `padded`, with a fourth number: a register holds them, and the loop takes half of the time.
 
-    Fields: `triangle`, one row each; `given` (3 t): what each has for its corners; `state`: F by its columns u and v, and S + T.
+    Fields: `triangle`, one row each; `force` (3 t) [N], `given` (3 t): forces and products on the corners of each; `state`:
+    F by its columns u and v, and S + T.
     """
 
     name = "membranes"
@@ -43,7 +44,7 @@ class Membranes(Corners):
             values["damping"] = scene.membrane_damping
         self.triangle = fields.table({**types, **dict.fromkeys(values, real)}, self.count, {**data, **values})
         vector = ti.types.vector(3, real)
-        self.given = fields.vectors(3 * self.count, 3)
+        self.given = self.force = fields.vectors(3 * self.count, 3)
         self.state = fields.table({"u": vector, "v": vector, "stress": vector}, self.count)
         self.scatters = model.serial and not np.isfinite(scene.break_strain).any()
         if self.scatters:
@@ -85,10 +86,10 @@ class Membranes(Corners):
         return self._parts(u * stress[0] + v * stress[2], v * stress[1] + u * stress[2], of)
 
     @ti.func
-    def _give(self, t, parts):
+    def _give(self, given: ti.template(), t, parts):
         """Note for the corners of triangle t what each gets."""
         for k in ti.static(range(3)):
-            self.given[3 * t + k] = ti.cast(parts[k], float)
+            given[3 * t + k] = ti.cast(parts[k], given.dtype)
 
     @ti.func
     def _rate(self, ball: ti.template(), u, v, of):
@@ -140,12 +141,12 @@ class Membranes(Corners):
         for t in range(self.count):
             of = self.triangle[t]
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
-            self._give(t, self._corner_forces(u, v, self._whole_stress(ball, u, v, of), of))
+            self._give(self.force, t, self._corner_forces(u, v, self._whole_stress(ball, u, v, of), of))
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
         """Force on a corner [N]."""
-        return self.given[row.place]
+        return self.force[row.place]
 
     @ti.func
     def corner_energy(self, ball: ti.template(), i, row, real: ti.template()):
@@ -165,6 +166,11 @@ class Membranes(Corners):
             rate = self._rate(ball, u, v, of)
             loss = ti.cast(of.area / 6.0 * of.damping, real) * ti.cast(rate.dot(self._stress(rate, of)), real)
         return loss
+
+    def allocate_derivatives(self, fields: Fields) -> None:
+        """Declare forces in the precision of places."""
+        if fields.wide != fields.real:
+            self.force = fields.vectors(3 * self.count, 3, wide=True)
 
     @ti.func
     def prepare_blocks(self, ball: ti.template(), s):
@@ -195,7 +201,7 @@ class Membranes(Corners):
             stress = self._factor(of, s) * self._stress(change, of)
             one = u * stress[0] + v * stress[2] + du * now[0] + dv * now[2]
             other = v * stress[1] + u * stress[2] + dv * now[1] + du * now[2]
-            self._give(t, self._parts(-one, -other, of))
+            self._give(self.given, t, self._parts(-one, -other, of))
 
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):

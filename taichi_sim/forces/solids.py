@@ -49,7 +49,8 @@ class Solids(NeoHookean):
         types = {"ball": ti.i32, "place": ti.i32, **dict.fromkeys(values, real)}
         alone = np.flatnonzero(pairs.own == pairs.other)
         self.law = fields.table(types, self.count, {"ball": at.balls, "place": alone, **values})
-        self.gradient, self.stress = fields.matrices(self.count, dim), fields.matrices(self.count, dim)
+        self.gradient, self.change = fields.matrices(self.count, dim), fields.matrices(self.count, dim)
+        self.stress = self.change
         vector = ti.types.vector(dim, real)
         columns = {"node": ti.i32, "slope": vector, "back": vector, "link": real}
         data = {"node": pairs.other, "slope": pairs.slope, "back": pairs.back, "link": pairs.link}
@@ -143,7 +144,7 @@ class Solids(NeoHookean):
             if ti.static(self.viscous):
                 rate = self._rate(ball, law, gradient, float)
                 stress += law.viscosity * gradient @ (rate + rate.transpose())
-            self.gradient[node], self.stress[node] = ti.cast(gradient, float), ti.cast(stress, float)
+            self.gradient[node], self.stress[node] = ti.cast(gradient, float), ti.cast(stress, self.stress.dtype)
 
     @ti.func
     def corner_force(self, ball: ti.template(), i, row, time):
@@ -182,8 +183,10 @@ class Solids(NeoHookean):
     # The derivatives, for implicit methods
 
     def allocate_derivatives(self, fields: Fields) -> None:
-        """Declare the axes of the balls with elements."""
+        """Declare the axes of the balls with elements, and their stresses in the precision of places."""
         self.allocate_axes(self.count, fields)
+        if fields.wide != fields.real:
+            self.stress = fields.matrices(self.count, self.dim, wide=True)
 
     @ti.func
     def prepare_blocks(self, ball: ti.template(), s):
@@ -205,13 +208,13 @@ class Solids(NeoHookean):
                 gradient = self.gradient[node]
                 rate = gradient.transpose() @ change
                 stress += s * law.viscosity * gradient @ (rate + rate.transpose()) + s * s * change @ self.drag[node]
-            self.stress[node] = stress
+            self.change[node] = stress
 
     @ti.func
     def corner_product(self, ball: ti.template(), i, row, s):
         """Row of ball i of the product."""
         _, back, link = self._pair(row)
-        return self.stress[row.node] @ back + s * s * link * (ball[row.a].p - ball[i].p)
+        return self.change[row.node] @ back + s * s * link * (ball[row.a].p - ball[i].p)
 
     @ti.func
     def corner_block(self, ball: ti.template(), i, row, s):

@@ -60,8 +60,12 @@ class StageElements:
         for one, there in ti.static(zip(self.elements, self.there)):
             one.prepare(there)
             one.prepare_blocks(there, s)
-            for i in range(self.n):
-                total[i] = total[i] + padded_blocks.pad(s * one.force_on(there, i, self.time[0]), self.dim)
+        for i in range(self.n):
+            force = ti.Vector.zero(self.wide, self.dim)
+            for one, there in ti.static(zip(self.elements, self.there)):
+                force += one.force_on(there, i, self.time[0])
+            own = ti.cast(padded_blocks.cut(total[i], self.dim), self.wide)
+            total[i] = padded_blocks.pad(ti.cast(own + ti.cast(s, self.wide) * force, float), self.dim)
 
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
