@@ -309,8 +309,6 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
 
 
 DAMAGE = [  # file, bytes of it that are kept, and what follows them
-    ("report.json", 0, b"rubbish"),
-    ("report.json", 0, b"[]"),
     ("rows.jsonl", 0, b""),
     ("rows.jsonl", 500, b""),
     ("rows.jsonl", 500, b"\n"),
@@ -333,6 +331,11 @@ def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up):
         with pytest.raises(SceneError, match=rf"r/{name}: is damaged; use --overwrite or another --out"):
             report.main(scene, plan(), folder, progress=False, say=say)
     report.main(scene, plan(), folder, overwrite=True, progress=False, say=say)
+    for record in ("rubbish", "[]"):  # nothing says that the folder is ours
+        (folder / "report.json").write_text(record)
+        for overwrite in (False, True):
+            with pytest.raises(OSError, match=r"r/report\.json: is not as this program writes it; remove the folder"):
+                report.main(scene, plan(), folder, overwrite=overwrite, progress=False, say=say)
 
 
 def test_a_run_that_takes_too_long_is_listed_with_its_reason(tmp_path, made_up):
