@@ -93,7 +93,7 @@ def test_the_command_writes_pages_that_load_nothing_from_elsewhere(tmp_path, mon
     assert not list(folder.glob(".*"))
 
 
-@pytest.mark.parametrize("file", ["file", "index.html"])
+@pytest.mark.parametrize("file", ["file", "index.html", "course.txt"])
 def test_the_course_leaves_the_folders_of_others_alone(tmp_path, file):
     from taichi_sim.reports.course import write
 

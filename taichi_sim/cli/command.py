@@ -13,7 +13,7 @@ import typer
 from taichi_sim.cli.options import paths_and_values, pixels, positive, share, step
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import BackendError, UnstableError
-from taichi_sim.common.printable import lead_nowhere, printable
+from taichi_sim.common.printable import lead_nowhere, printable, told
 from taichi_sim.common.progress import log_to
 from taichi_sim.common.signals import ENDED, INTERRUPTED, insistent_signals, leave
 from taichi_sim.common.version import __version__
@@ -152,7 +152,7 @@ def echo(text: str, err: bool = False) -> None:
     gone, as after `| head`, the work goes on unread. Raises OSError where standard output cannot be written."""
     with suppress(OSError) if err else naming("standard output"):  # of errors that nobody reads nothing can be said
         try:
-            typer.echo(printable(text), err=err)
+            typer.echo(told(text) if err else printable(text), err=err)
         except BrokenPipeError:
             lead_nowhere(sys.stderr if err else sys.stdout)
 

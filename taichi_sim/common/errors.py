@@ -4,9 +4,10 @@ import difflib
 import os
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any
 
-from taichi_sim.common.printable import printable
+from taichi_sim.common.printable import told
 
 __all__ = [
     "BackendError",
@@ -24,6 +25,8 @@ __all__ = [
 
 KeyPath = tuple[str | int, ...]
 LONGEST = 60  # of a value or a key in a message
+LONGEST_PATH = 300  # of keys
+LISTED = 50  # names, before the others are only counted
 DIGITS = 18  # of an index; longer ones are no numbers
 RENAMED = {
     "contact_passes": "contact_iterations",
@@ -76,7 +79,7 @@ class SceneError(ValueError):
         at = None if self.file is None else f"{self.file}" + (f", line {self.line}" if self.line else "")
         value = self.value if self.file is None else _as_in_file(self.value)
         sentence = self.says if value is ... else f"{short(value)} {self.says}"
-        return printable(": ".join(part for part in (at, key_name(self.path), sentence) if part))
+        return told(": ".join(part for part in (at, key_name(self.path), sentence) if part))
 
 
 class BackendError(RuntimeError):
@@ -125,11 +128,12 @@ def path_of(place: str | Sequence[str | int]) -> KeyPath:
 
 def key_name(path: Sequence[str | int]) -> str:
     """Name of a path as `path_of` takes it: ("springs", 3, "pairs", 12) as `springs[3].pairs[12]`. A key that holds lines or
-    control sequences is written as Python writes it; a long one is cut off."""
+    control sequences is written as Python writes it; long ones, and long paths, are cut off."""
     names = (
         part if isinstance(part, int) or (part.isprintable() and len(part) <= LONGEST) else short(part) for part in path
     )
-    return "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
+    text = "".join(f"[{name}]" if isinstance(name, int) else f".{name}" for name in names).lstrip(".")
+    return text if len(text) <= LONGEST_PATH else text[: LONGEST_PATH - 3].rstrip(".") + "..."
 
 
 def _as_in_file(value: Any) -> Any:
@@ -159,7 +163,8 @@ def did_you_mean(word: str, known: Collection[str], otherwise: str = "") -> str:
     close = difflib.get_close_matches(word, known, n=1)
     if close or otherwise:
         return f"did you mean {close[0]!r}?" if close else otherwise
-    return f"there are {', '.join(known)}" if known else "there are none"
+    more = f" and {len(known) - LISTED} more" if len(known) > LISTED else ""
+    return f"there are {', '.join(islice(known, LISTED))}{more}" if known else "there are none"
 
 
 def words_of(error: BaseException) -> str:

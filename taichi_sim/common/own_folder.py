@@ -1,7 +1,7 @@
 """Folders that this program makes for itself: no link is followed, and only files of its own names are deleted in them."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,10 +13,12 @@ DOES = "{}: {}; this program makes such a {} itself: remove it, or give another 
 LOCK = "lock"  # the first file that is made in one, and the last that is deleted
 
 
-def require_own(folder: Path, record: str | None = None, files: re.Pattern[str] | None = None) -> None:
+def require_own(
+    folder: Path, is_ours: Callable[[Path], bool] | None = None, files: re.Pattern[str] | None = None
+) -> None:
     """Raises OSError, with one sentence, where a link or a file lies in place of the folder, where it holds a link, also
     a hard one, a pipe or a device, where a folder lies in place of its lock or of its `files`, and where it is not empty and
-    has no `record`, the file that says what it is of."""
+    not `is_ours`, which reads the file that says what it is of."""
     _require(folder, "folder")
     if not folder.is_dir():
         return
@@ -28,8 +30,9 @@ def require_own(folder: Path, record: str | None = None, files: re.Pattern[str] 
         if kind == "file" and entry.stat().st_nlink > 1:
             says = f"holds {entry.name!r}, which is also the file of another name"
             raise FileExistsError(DOES.format(folder, says, "folder"))
-    if record is not None and not (folder / record).is_file() and not is_fresh(folder):
-        raise FileExistsError(DOES.format(folder, "is a folder that this program did not make", "folder"))
+    if is_ours is not None and not is_fresh(folder) and not is_ours(folder):
+        says = "is a folder that this program did not make, or whose record was changed"
+        raise FileExistsError(DOES.format(folder, says, "folder"))
 
 
 def require_own_file(path: Path) -> None:

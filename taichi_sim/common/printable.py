@@ -1,14 +1,18 @@
 """Text that no terminal takes for a command and no spreadsheet for a formula; standard streams in whatever state."""
 
 import os
+import re
 import sys
 from contextlib import suppress
 from typing import Any, TextIO
 
-__all__ = ["lead_nowhere", "no_formula", "printable", "settle_streams"]
+__all__ = ["lead_nowhere", "no_formula", "printable", "settle_streams", "told"]
 
 FORMULAS = ("=", "+", "-", "@", "\t", "\r")  # what they begin with
 LINES = "\n\t"
+# longer than any name of a file that is not made for this, and quoted texts with spaces
+ENDLESS = re.compile(r"""'[^'\n]{1000,}'|"[^"\n]{1000,}"|\S{1000,}(?<![:;,.])""")
+SHOWN = 60  # characters of such
 
 
 def printable(text: str) -> str:
@@ -19,6 +23,11 @@ def printable(text: str) -> str:
     return "".join(
         one if one.isprintable() or one in LINES or (one.isspace() and one > "\x9f") else _code(one) for one in text
     )
+
+
+def told(message: str) -> str:
+    """A message that is `printable`, in which words and quoted texts without end are cut off."""
+    return ENDLESS.sub(lambda found: f"{found[0][:SHOWN]}...", printable(message))
 
 
 def _code(character: str) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError, did_you_mean
+from taichi_sim.geometry.svg_transforms import require_transforms
 
 __all__ = ["FONT_FILES", "Outline", "drawing_outlines", "text_outlines"]
 
@@ -145,15 +146,17 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
         raise
     except Exception as error:  # a parser for foreign files may raise anything
         reason = "its groups are too deep" if isinstance(error, RecursionError) else error
+        if isinstance(error, (LookupError, TypeError, AttributeError)):  # whose messages are of the parser alone
+            reason = "it holds something else than SVG has there"
         raise SceneError(where, file, says=f"cannot be read as SVG: {reason}") from None
     found_rings: list[tuple[list[NDArray], bool, tuple[float, float, float]]] = []
     corners = 0
     box = drawing.bbox()
-    if box is None or not math.isfinite(sum(box)) or box[3] <= box[1]:
+    if box is None or box[3] <= box[1]:
         sides = [f"{key} = {drawing.values[key]!r}" for key in ("width", "height") if key in drawing.values]
         says = "shows nothing that has an area" + (f"; it is drawn with {' and '.join(sides)}" if sides else "")
         raise SceneError(where, file, says=says)
-    if max(map(abs, box)) > MOST_COORDINATE:
+    if not all(abs(side) <= MOST_COORDINATE for side in box):
         raise SceneError(where, file, says=f"has coordinates beyond {MOST_COORDINATE:g}")
     step = CURVE_STEP * (box[3] - box[1])
     for number, element in enumerate(one for one in drawing.elements() if isinstance(one, Shape)):
@@ -203,8 +206,10 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
 
 
 def _weight(file: str | os.PathLike[str]) -> int:
-    """Bytes of the texts in a drawing once each `use` is replaced by what it names. Raises ValueError where one names itself."""
+    """Bytes of the texts in a drawing once each `use` is replaced by what it names. Raises ValueError where one names itself, or
+    has a transform that is none."""
     root = ElementTree.parse(file).getroot()
+    require_transforms(root)
     named = {element.get("id"): element for element in root.iter()}
     known: dict[Any, int | None] = {}
 

@@ -39,11 +39,15 @@ USUAL_FPS = 60.0  # of frames from elsewhere
 LEAST_FPS, MOST_FPS = 1e-4, 1e9  # of films
 
 
-def require_folder_place(path: Path) -> None:
-    """Raises OSError where there can be no folder: without a parent, or where a file is."""
+def require_folder_place(path: Path, overwrite: bool = False) -> None:
+    """Raises OSError where there can be no folder: without a parent, or where a file is; to overwrite, also where a link is, as a
+    file never takes the place of what a link points to."""
     require_parent(path)
     if path.exists() and not path.is_dir():
         raise NotADirectoryError(f"{path}: is a file; give the name of a folder")
+    if overwrite and path.is_symlink():
+        says = "is a link; --overwrite deletes nothing behind one; give"
+        raise FileExistsError(f"{path}: {says} {str(path.resolve())!r} itself, or another name")
 
 
 def require_alpha(outputs: Sequence["Output"], style: Mapping[str, Any]) -> None:

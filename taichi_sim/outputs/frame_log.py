@@ -31,7 +31,7 @@ from taichi_sim.common.differences import differences, named
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.own_folder import LOCK, emptied, is_fresh, require_own
 from taichi_sim.outputs.frame_records import FrameRecords, PicturePacker, unpacked_pictures
-from taichi_sim.outputs.kept_files import checksum, judged, read_kept, write_kept
+from taichi_sim.outputs.kept_files import checksum, is_kept, judged, read_kept, write_kept
 from taichi_sim.outputs.records import Records
 
 ABOUT, CHECKPOINT = "run.json", "checkpoint.json"
@@ -71,7 +71,7 @@ class FrameLog:
         self.waits = False  # whether no picture is drawn before all is simulated
         self._lock: IO[bytes] | None = None
         self._is_left = False
-        require_own(self.folder, ABOUT, OURS)
+        require_own(self.folder, _is_ours, OURS)
         self.resumes = resume and (self.folder / ABOUT).is_file()
         if self.resumes:
             self._take()
@@ -227,7 +227,7 @@ class FrameLog:
             raise ValueError(f"{self.output}: was finished or discarded, and takes no more frames; open it anew")
         if not self.resumes:
             self.folder.mkdir(exist_ok=True)
-            require_own(self.folder, ABOUT, OURS)
+            require_own(self.folder, _is_ours, OURS)
             self._take()
             try:
                 self._empty()
@@ -307,6 +307,11 @@ class FrameLog:
         if self.resumes:
             self._remove()
             self.resumes = False
+
+
+def _is_ours(folder: Path) -> bool:
+    """True where one of the records is whole: one that a broken disk damaged is told by the other."""
+    return any(is_kept(folder / name) for name in (ABOUT, CHECKPOINT))
 
 
 def _differences(then: Mapping[str, Any], now: Mapping[str, Any]) -> Iterator[str]:

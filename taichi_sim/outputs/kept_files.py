@@ -13,7 +13,7 @@ import numpy as np
 from taichi_sim.common.atomic_file import replacing
 from taichi_sim.common.errors import SceneError
 
-__all__ = ["checksum", "copied", "judged", "read_kept", "write_kept"]
+__all__ = ["checksum", "copied", "is_kept", "judged", "read_kept", "write_kept"]
 
 CHUNK = 1 << 20  # bytes
 # what parsing and taking apart of something else than was written may raise
@@ -38,6 +38,15 @@ def read_kept(path: Path) -> dict[str, Any]:
         if not isinstance(kept, dict) or zlib.crc32(json.dumps(kept).encode()) != found["crc32"]:
             raise ValueError("its checksum does not fit")
     return kept  # type: ignore[no-any-return]
+
+
+def is_kept(path: Path) -> bool:
+    """True where a file is there as `write_kept` wrote it."""
+    try:
+        read_kept(path)
+    except (SceneError, OSError):
+        return False
+    return True
 
 
 def checksum(path: Path) -> int:

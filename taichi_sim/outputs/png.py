@@ -32,7 +32,7 @@ class PngFolder(Output):
             raise ValueError("overwrite and resume exclude each other; give one of them")
         self.path, self.resume = Path(path), resume
         self.log  # noqa: B018  # refused where it cannot be ours
-        require_folder_place(self.path)
+        require_folder_place(self.path, overwrite)
         self._made = not self.path.is_dir()
         entries = [] if self._made else [entry for entry in self.path.iterdir() if entry != self.log.folder]
         if entries and not (overwrite or resume):

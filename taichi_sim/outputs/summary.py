@@ -134,7 +134,7 @@ class Summary:
                 f"contacts     {now.number} at the end, {self.most_contacts} at most;"
                 f" {counted(now.iterations, 'iteration', 'iterations')} in {_each(now.substeps)},"
                 f" {counted(now.searches, 'search', 'searches')}; largest speed {self.largest_speed:.3g} m/s"
-                f"{self.fastest and f', {self.fastest}'}"
+                f" at a frame{self.fastest and f', {self.fastest}'}"
             )
             squeezes, starts_deep = (False, False) if scales is None else (scales.squeezes, scales.starts_deep)
             depth = of_depth(self.relative_penetration, squeezes, starts_deep)

@@ -19,6 +19,7 @@ from taichi_sim.studies.page_parts import STYLE
 __all__ = ["formula", "show", "write"]
 
 START, RECORD = "index.html", "course.txt"
+SAYS = b"The course of taichi_sim, which is written here again each time.\n"  # the record
 OWN = """
 body { max-width: 48rem } img { max-width: 100%; background: #fff; border-radius: 6px }
 pre { padding: .8rem; background: var(--soft); border-radius: 6px; font-size: .8rem;
@@ -30,14 +31,14 @@ svg.formula { width: auto; height: auto } svg.formula path, svg.formula use, svg
 
 def write(out: str | None = None) -> Path:
     """Write the pages and pictures into a folder, by default one of the user's caches, and return the first page. Raises OSError
-    where the folder is not one that this function made, which its first file tells."""
+    where the folder is not one that this function made, which its record tells."""
     source = Path(str(resources.files("taichi_sim.course")))
     folder = user_cache_path("taichi_sim", ensure_exists=True) / "course" if out is None else Path(out)
     require_folder_place(folder)
-    require_own(folder, RECORD)
+    require_own(folder, lambda there: (there / RECORD).is_file() and (there / RECORD).read_bytes() == SAYS)
     folder.mkdir(exist_ok=True)
     with replacing(folder / RECORD) as record:
-        record.write(b"The course of taichi_sim, which is written here again each time.\n")
+        record.write(SAYS)
     files = sorted(source.iterdir())
     texts = {file.stem: file.read_text(encoding="utf-8") for file in files if file.suffix == ".md"}
     for name, text in texts.items():

@@ -35,27 +35,39 @@ class StudyFolder:
     another = "another folder"  # what a user may give instead
 
     def __init__(self, path: Path, about: Mapping[str, Any], overwrite: bool = False) -> None:
-        self.path, self.about = path, json.loads(json.dumps(about, default=str))
+        self.path = path
+        self.about = {"program": f"taichi_sim {self.kind}"} | json.loads(json.dumps(about, default=str))
         self.begun = False  # whether the folder is this study's
         self._overwrite = overwrite
         self._lock: Any = None
-        require_folder_place(path)
+        require_folder_place(path, overwrite)
         for file in self._files(*self.own, self.record):
             require_own_file(file)
         if path.is_dir() and not is_fresh(path):
             if not (path / self.record).is_file():
                 raise FileExistsError(f"{path}: the folder is not empty and holds no {self.kind}; use another name")
+            then = self._recorded()
             if not overwrite:
-                self._require_same()
+                self._require_same(then)
 
     def _files(self, *names: str) -> list[Path]:
         """Files of these names that are there, those of the first name first."""
         entries = sorted(self.path.iterdir()) if self.path.is_dir() else []
         return [entry for name in names for entry in entries if fnmatchcase(entry.name, name)]
 
-    def _require_same(self) -> None:
-        then = self.read(self.record, _table)
-        if differing := list(differences(then or {}, self.about)):
+    def _recorded(self) -> dict[str, Any]:
+        """Contents of the record. Raises OSError where this program did not write it: then the other files are not its own."""
+        try:
+            found = json.loads((self.path / self.record).read_bytes())
+        except (ValueError, RecursionError):
+            found = None
+        if isinstance(found, dict) and found.get("program") == self.about["program"]:
+            return found
+        says = f"is not as this program writes it; remove the folder, or give {self.another}"
+        raise FileExistsError(f"{self.path / self.record}: {says}")
+
+    def _require_same(self, then: Mapping[str, Any]) -> None:
+        if differing := list(differences(then, self.about)):
             raise FileExistsError(
                 f"{self.path}: holds another {self.kind}, which differs in {named(differing)}; use --overwrite or"
                 f" {self.another}"
@@ -116,10 +128,3 @@ class StudyFolder:
     def record_in(self, name: str, kind: Callable[..., Entry]) -> Entry | None:
         """A record of numbers, texts and arrays in a file; None where there is no such file."""
         return self.read(name, lambda path: kind(**arrays_of(path)))
-
-
-def _table(path: Path) -> dict[str, Any]:
-    found = json.loads(path.read_bytes())
-    if not isinstance(found, dict):
-        raise ValueError("it holds no table")
-    return found

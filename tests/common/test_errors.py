@@ -5,6 +5,7 @@ import pickle
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.cli.command import echo
 from taichi_sim.common.errors import about, path_of, unknown_key
 
 pytestmark = pytest.mark.once
@@ -56,3 +57,31 @@ def test_unknown_keys(key, says):
 @pytest.mark.parametrize(("known", "meant"), [(("size", "meshes"), "meshes"), (("size", "radius"), "size")])
 def test_words_of_other_programs_mean_what_there_is(known, meant):
     assert str(unknown_key("resolution", known)).endswith(f"did you mean '{meant}'?")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        ts.SceneError("walls[2]" + ".ab" * 20_000, says="is not in this scene"),
+        ts.SceneError("walls[2]", says=f"is given twice; give {'ab.' * 20_000} once"),
+        unknown_key("walls[2].qq", [f"name{k}" for k in range(5000)]),
+        "walls[2]: 'ab cd " + "ef gh " * 10_000 + "' is not allowed",
+        "walls[2]: " + "ab" * 20_000 + ": is not allowed",
+    ],
+)
+def test_no_message_is_longer_than_anybody_reads(error, capsys):
+    """Whatever was given: it is cut off, and what the sentence says of it is kept."""
+    echo(f"taichi-sim: {error}", err=True)
+    said = capsys.readouterr().err
+    assert said.startswith("taichi-sim: walls[2]")
+    assert len(said) < 1200
+    end = said.strip().rpartition("...")[2] if "..." in said else said.strip()
+    assert end in (": is not in this scene", " once", " is not allowed", ": is not allowed") or end.endswith(
+        "and 4950 more"
+    )
+
+
+def test_the_name_of_a_file_is_whole_in_a_message(capsys):
+    path = "/".join(["folder" * 10] * 15)
+    echo(f"{path}: there is no such file", err=True)
+    assert path in capsys.readouterr().err

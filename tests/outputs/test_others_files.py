@@ -65,10 +65,33 @@ def test_a_link_in_place_of_what_is_kept(tmp_path, precious, name, resume):
 def test_a_folder_of_somebody_else_in_place_of_what_is_kept(tmp_path, precious, name):
     precious.rename(log_of(tmp_path, name))
     try:
-        with pytest.raises(OSError, match=r"\.resume: is a folder that this program did not make; .* remove it"):
+        with pytest.raises(OSError, match=r"\.resume: is a folder that this program did not make, .* remove it"):
             make(tmp_path, name)
     finally:
         (tmp_path / name / ".resume" if name.endswith("/") else tmp_path / f".{name}.resume").rename(precious)
+
+
+@pytest.mark.parametrize("resume", [False, True])
+@pytest.mark.parametrize("record", ["{}", '{"name": "run"}', '{"crc32": 5, "kept": {"name": "run"}}', "[1]", ""])
+def test_a_folder_of_somebody_else_that_has_a_record_of_theirs(tmp_path, record, resume):
+    inside = tmp_path / ".x.gif.resume"
+    inside.mkdir()
+    theirs = {"run.json": record, "pictures": "theirs", "state_000001.npz": "theirs"}
+    for name, text in theirs.items():
+        (inside / name).write_text(text)
+    with pytest.raises(OSError, match=r"\.resume: is a folder that this program did not make, .* remove it"):
+        make(tmp_path, "x.gif", resume=resume)
+    assert {file.name: file.read_text() for file in inside.iterdir()} == theirs
+
+
+def test_frames_behind_a_link_are_not_overwritten(tmp_path):
+    """As a file takes the place of a link, and not of what it points to."""
+    make(tmp_path, "theirs/")
+    before = {file.name: file.stat().st_mtime_ns for file in (tmp_path / "theirs").iterdir()}
+    (tmp_path / "frames").symlink_to("theirs")
+    with pytest.raises(OSError, match=r"frames: is a link; --overwrite deletes nothing behind one; give '.*theirs'"):
+        make(tmp_path, "frames/", overwrite=True)
+    assert {file.name: file.stat().st_mtime_ns for file in (tmp_path / "theirs").iterdir()} == before
 
 
 @pytest.mark.parametrize("name", ["lock", "pictures", "checkpoint.json"])
@@ -210,20 +233,33 @@ def test_what_is_no_file_in_the_folder_of_a_study(tmp_path, kind, name):
 
 @pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
 def test_a_study_leaves_what_others_put_beside_it(tmp_path, precious, kind):
-    """The folder is the user's own choice, a link to it, too."""
+    """The folder is the user's own choice, a link to it, too; but nothing behind one is overwritten."""
     begun(kind, tmp_path / "disk")
     (tmp_path / "out").symlink_to(tmp_path / "disk")
     (tmp_path / "disk" / "notes").symlink_to(precious)
     begun(kind, tmp_path / "out")
-    kind(tmp_path / "out", {"a": 1}, overwrite=True).close()
+    kind(tmp_path / "disk", {"a": 1}, overwrite=True).close()
     assert (tmp_path / "disk" / "notes").is_symlink()
+    with pytest.raises(OSError, match=r"out: is a link; --overwrite deletes nothing behind one; give '.*disk'"):
+        kind(tmp_path / "out", {"a": 1}, overwrite=True)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("record", ["{}", '{"a": 1}', '{"program": "another"}', "[1]", ""])
+@pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
+def test_a_folder_of_somebody_else_that_has_such_a_record(tmp_path, kind, record, overwrite):
+    theirs = {kind.record: record, "rows.jsonl": "theirs", "report.html": "theirs"}
+    for name, text in theirs.items():
+        (tmp_path / name).write_text(text)
+    with pytest.raises(OSError, match=rf"{kind.record}: is not as this program writes it; remove the folder"):
+        kind(tmp_path, {"a": 1}, overwrite)
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == theirs
 
 
 @pytest.mark.parametrize("kind", [SweepFolder, ReportFolder])
 def test_a_lock_is_no_link(tmp_path, kind):
     folder = tmp_path / "out"
-    folder.mkdir()
-    (folder / kind.record).write_text('{"a": 1}')
+    begun(kind, folder)
     (folder / "lock").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(OSError, match="lock: is a link"):
         kind(folder, {}, True).begin()

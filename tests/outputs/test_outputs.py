@@ -341,7 +341,7 @@ def test_summary():
         "11, 1 s simulated",
         "6 J at the start, 5 J at the end",
         "contacts     5 at the end, 7 at most; 2 iterations in each of 3 substeps, 11 searches",
-        "; largest speed 4 m/s, ball 0 at 0 s",
+        "; largest speed 4 m/s at a frame, ball 0 at 0 s",
         "1 J of it went into friction, as expected",
         "penetration  largest 0.25 m (2.5 of a radius), mean at the end 0.004 m: wrong; take shorter steps",
         "residual     approach speed left by the contact solver: 0.001 m/s typical, good; 0.025 m/s worst, which a new impact",

@@ -17,7 +17,17 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.files.source import open_scene, resolve
 from taichi_sim.reports.speed_error import budget, measure, report, rows, statistics
 from taichi_sim.reports.speed_error.findings import Findings, choice, equal
-from taichi_sim.reports.speed_error.plan import METHODS, PARTS, Plan, about, duration_of, steps_of
+from taichi_sim.reports.speed_error.plan import (
+    FRAME,
+    METHODS,
+    PARTS,
+    Plan,
+    about,
+    duration_of,
+    fitting,
+    longest_step,
+    steps_of,
+)
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.reports.speed_error.trial_process import Outcome
@@ -164,6 +174,24 @@ def test_pareto_front_and_the_cheapest():
     assert wild not in rows.pareto(found, 0.0)
 
 
+def test_what_is_said_of_the_front_is_true(monkeypatch):
+    """As printed: errors and times are rounded, unstable runs may be faster, and times within 20 % are equal."""
+    rng = np.random.default_rng(8)
+    for _ in range(200):
+        found = [
+            row(rng.uniform(1.0, 2.0), 10.0 ** rng.uniform(-3.0, -2.0), rng.choice(["stable", "stable", "unstable"]))
+            for _ in range(8)
+        ]
+        stable = [one for one in found if one.verdict == "stable"]
+        for one in rows.pareto(found, known=1e-9):
+            assert all(other.seconds > 1.2 * one.seconds for other in stable if other.rms_error < one.rms_error)
+    found = [row(1.0, 1.24e-3, step=1e-3), row(1.21, 1.23e-3, step=5e-4)]  # printed, the second is as accurate
+    monkeypatch.setattr(Findings, "lasting", [])
+    said = " ".join(Findings(plan(), pair(), known_to(1e-9), found, []).lines())
+    assert "Every stable run that is more accurate than one of these takes over 20 % longer than it" in said
+    assert "times and errors are rounded here" in said
+
+
 def test_what_noise_hides_is_no_rank():
     """Equally fast, the smaller error is better; what is clearly slower is not, however large the noise was."""
     quick, near, slow = found = [row(1.0, 1e-2, noise=0.1), row(1.1, 1e-3, noise=0.1), row(1.5, 1e-4, noise=9.0)]
@@ -225,7 +253,10 @@ def test_steps_fit_and_halve():
         steps = steps_of(pair(), method, Plan("pair", 0.37))
         for step in steps:
             assert step.number * PARTS * step.seconds == pytest.approx(0.37)
-        assert all(b.seconds == pytest.approx(a.seconds / 2) for a, b in pairwise(steps))
+        longest = fitting(0.37, min(FRAME, longest_step(pair(), method))) if longest_step(pair(), method) else steps[0]
+        assert longest in steps
+        halves = [step for step in steps if step != longest or step == steps[0]]
+        assert all(b.seconds == pytest.approx(a.seconds / 2) for a, b in pairwise(halves))
     assert [s.number for s in steps_of(pair(), "verlet", plan(steps=(0.4, 0.01)))] == [1, 5]
 
 
@@ -309,8 +340,6 @@ def test_folders_of_others_are_refused(tmp_path, made_up):
 
 
 DAMAGE = [  # file, bytes of it that are kept, and what follows them
-    ("report.json", 0, b"rubbish"),
-    ("report.json", 0, b"[]"),
     ("rows.jsonl", 0, b""),
     ("rows.jsonl", 500, b""),
     ("rows.jsonl", 500, b"\n"),
@@ -333,6 +362,11 @@ def test_a_damaged_folder_is_refused_by_name(tmp_path, made_up):
         with pytest.raises(SceneError, match=rf"r/{name}: is damaged; use --overwrite or another --out"):
             report.main(scene, plan(), folder, progress=False, say=say)
     report.main(scene, plan(), folder, overwrite=True, progress=False, say=say)
+    for record in ("rubbish", "[]"):  # nothing says that the folder is ours
+        (folder / "report.json").write_text(record)
+        for overwrite in (False, True):
+            with pytest.raises(OSError, match=r"r/report\.json: is not as this program writes it; remove the folder"):
+                report.main(scene, plan(), folder, overwrite=overwrite, progress=False, say=say)
 
 
 def test_a_run_that_takes_too_long_is_listed_with_its_reason(tmp_path, made_up):
@@ -555,3 +589,24 @@ def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one()
     lines = list(budget.Budget(**about, step=1e-4, meshed=True).lines())
     assert "800.00 +- 0.10 mm (step), mesh not known, single precision not known." in lines[0]
     assert "--resolutions does that" in lines[1]
+    for given, said in (
+        ({"step": 1e-3}, "The error of the mesh is 40 times that of the step: only"),
+        ({"step": 1e-3, "settling": 2e-3}, "The error of the mesh is 20 times that of the settling: only"),
+        ({"step": 0.0}, "The error of the mesh is the only one beside rounding: only"),
+    ):
+        assert any(line.startswith(said) for line in budget.Budget(**about, **given, mesh=0.04).lines())
+
+
+def test_a_peak_of_positions_may_lie_between_the_times_too(tmp_path, made_up):
+    """As that of a quantity: the largest of the samples is no peak of the motion."""
+    workers = made_up(pair())
+    run = workers.run
+
+    def swings(precision, trial):
+        outcome = run(precision, trial)
+        return outcome._replace(position=[x + 0.3 * (k == 4) for k, x in enumerate(outcome.position)])
+
+    workers.run = swings
+    report.main(pair(), plan(), tmp_path / "r", progress=False, say=lambda line: None)
+    text = (tmp_path / "r" / "report.md").read_text()
+    assert re.search(r"Largest rms displacement at 8 sample times .*, \+- [\d.]+ mm \(between these times\)", text)

@@ -14,7 +14,7 @@ from taichi_sim.analysis.outcome import left_out
 from taichi_sim.analysis.stability import stability
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports import check
-from taichi_sim.reports.speed_error import command, tune
+from taichi_sim.reports.speed_error import command, report, tune
 from taichi_sim.reports.speed_error.plan import METHODS
 from taichi_sim.simulation.settings import Settings
 
@@ -60,6 +60,25 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
     value, allowed = said[2].splitlines()[:2]
     assert value.startswith("value")
     assert allowed.startswith("allowed")  # two balls on a spring are no mesh
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.5])
+def test_a_report_names_the_settings_that_tune_names(tmp_path, monkeypatch, damping):
+    """From the same runs: the longest step that each method may take in the long run is among them, and none above it counts."""
+    scene = pair()
+    scene.set_springs(stiffness=3.0 * scene.stiffness, damping=damping)
+    methods = ("verlet", "symplectic_euler", "rk4", "explicit_euler", "tr_bdf2")
+    workers = MadeUp(scene, cost={("f64", "explicit_euler"): 1e-4, ("f64", "tr_bdf2"): 2e-2})
+    for module in (tune, report):
+        monkeypatch.setattr(module, "TrialProcesses", lambda *_: workers)
+    for tolerance in (0.5, 0.1, 0.02, 2e-4):
+        asked, said = plan(methods=methods, tolerance=tolerance, duration=0.55), []
+        found = tune.main(scene, asked, progress=False, say=said.append)
+        findings = report.main(scene, asked, tmp_path / "r", progress=False, say=lambda _: None)
+        ((best, *_),) = (rows for one, rows in findings.fastest((0.5,)) if one == tolerance)
+        assert tune.settings_of(scene, best) == found
+        (cost,) = (line for line in said[2].splitlines() if line.startswith("cost"))
+        assert f"{best.seconds:.3g} s of {best.clock}" in cost
 
 
 def test_of_all_methods_the_cheapest_is_named_and_what_cannot_win_is_said(monkeypatch):

@@ -226,6 +226,21 @@ def test_what_is_refused_leaves_the_scene_as_it_was(given, message):
         (HUGE.format("1e300"), "has coordinates beyond 1e+50"),
         (HUGE.format("1e60"), "has coordinates beyond 1e+50"),
         (None, "is not there; it must be an existing .svg file"),
+        *(
+            (
+                DRAWING.replace("scale(2)", wrong),
+                f"cannot be read as SVG: transform='translate(10 0) {wrong}' is not as",
+            )
+            for wrong in (
+                "scale(9e306) skewX(nan)",
+                "rotate(1 2)",
+                "matrix(1 0 0 1 2)",
+                "scale(inf)",
+                "turn(3)",
+                "rotate(4",
+            )
+        ),
+        (DRAWING.replace("scale(2)", "scale(3e307)"), "has coordinates beyond 1e+50"),
     ],
 )
 def test_drawings_that_are_refused(tmp_path, drawing, message):
@@ -236,6 +251,23 @@ def test_drawings_that_are_refused(tmp_path, drawing, message):
         ts.shapes.svg(ts.Scene(dim=3), file)
     assert message in str(caught.value)
     assert str(caught.value).startswith("svg.file: ")
+
+
+def test_transforms_as_others_write_them(tmp_path):
+    """With commas, units and signs between numbers, in capitals, one after another, or none."""
+    found = []
+    for same in (
+        "scale(2)",
+        "scale(2,2)",
+        " scale ( 1e0 +1 ) , scale(2.)",
+        "matrix(2 0 0 2 0 0)",
+        "rotate(-0deg)scale(2)",
+    ):
+        (tmp_path / "a.svg").write_text(
+            DRAWING.replace("scale(2)", same).replace("<circle", '<circle transform="none"')
+        )
+        found.append([one.polygon.bounds for one in drawing_outlines("svg", tmp_path / "a.svg", 1.0)])
+    assert np.allclose(found, found[0])
 
 
 def test_without_the_packages(monkeypatch):

@@ -313,7 +313,7 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
     assert not list(again.batches.iterdir())
     again.finish(points)
     assert len(table(tmp_path / "s")) == 4
-    assert json.loads((tmp_path / "s" / "sweep.json").read_text()) == about
+    assert json.loads((tmp_path / "s" / "sweep.json").read_text()) == {"program": "taichi_sim sweep", **about}
     again.close()
     text = (tmp_path / "s" / "rows.jsonl").read_text()
     for damage in (
@@ -334,7 +334,7 @@ def test_batches_become_one_file_and_damage_is_told(tmp_path):
     (tmp_path / "s" / "rows.jsonl").write_text(text)
     for damage in ("[1]", "[" * 50_000, "{", "null"):
         (tmp_path / "s" / "sweep.json").write_text(damage)
-        with pytest.raises(ts.SceneError, match=r"sweep\.json: is damaged; use --overwrite or another folder"):
+        with pytest.raises(OSError, match=r"sweep\.json: is not as this program writes it; remove the folder"):
             SweepFolder(tmp_path / "s", about)
 
 

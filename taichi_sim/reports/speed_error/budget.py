@@ -80,9 +80,15 @@ class Budget:
             and self.step is not None
             and self.mesh > HIDING_MESH * max(self.step, self.settling or 0.0)
         ):
+            most, name = max((self.step, "step"), (self.settling or 0.0, "settling"))
+            times = (
+                f"{self.mesh / most:.2g} times that of the {name}"
+                if most > EXACT * self.value
+                else "the only one beside rounding"
+            )
             yield (
-                "The error of the mesh is by far the largest: only a finer resolution reduces it. The fastest settings below"
-                " are for the motion of this mesh."
+                f"The error of the mesh is {times}: only a finer resolution reduces it. The fastest settings below are for the"
+                " motion of this mesh."
             )
         if self.why:
             yield f"The error of the mesh: {self.why}."
@@ -118,7 +124,7 @@ def made(
         single=rounded,
         meshed=meshed,
         precision=precision,
-        missed=0.0 if compared.quantity is None else reference.missed,
+        missed=reference.missed,
         settling=reference.settling,
         given=own_step(trials.scene, method)[1],
     )

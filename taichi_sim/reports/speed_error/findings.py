@@ -7,24 +7,25 @@ from taichi_sim.analysis.methods import named as method_named
 from taichi_sim.common.quantities import EXACT, measured
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import Compared
-from taichi_sim.reports.speed_error.plan import PARTS, Plan
+from taichi_sim.reports.speed_error.plan import PARTS, Plan, longest_step
 from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
 from taichi_sim.reports.speed_error.rows import (
     CLEAR_OF_REFERENCE,
     ERROR_FALLS,
     LEFT_OUT,
+    MUCH_LONGER,
     SAME_TIME,
     STABLE,
     UNSTABLE,
     Row,
     cheapest,
+    coarser,
     pareto,
     stuck,
     tells,
 )
 from taichi_sim.reports.speed_error.statistics import Interval
 from taichi_sim.scene.scene import Scene
-from taichi_sim.simulation.settings import part_of_bound
 
 MOST_NAMED = 3  # runs that are as fast as the best
 LONG_RUN = "Of runs below, only those with steps that are safe in the long run count, as `tune` takes them:"
@@ -56,11 +57,12 @@ class Findings:
             own = [row for row in self.rows if row.method == method and row.verdict == STABLE]
             single = {row.step: row.relative_error for row in own if row.precision == "f32" and row.relative_error}
             double = {row.step: row.relative_error for row in own if row.precision == "f64"}
-            steps, errors = list(single), list(single.values())
-            if len(errors) > 1 and errors[-1] > ERROR_FALLS * errors[-2]:
-                same = double.get(steps[-1])
-                if same is not None and same < ERROR_FALLS * errors[-1]:
-                    best.append(min(errors))
+            last = min(single, default=0.0)
+            longer = coarser(last, [step for step in single if step > last])
+            if longer is not None and single[last] > ERROR_FALLS * single[longer]:
+                same = double.get(last)
+                if same is not None and same < ERROR_FALLS * single[last]:
+                    best.append(min(single.values()))
         return min(best, default=None)
 
     @property
@@ -81,8 +83,8 @@ class Findings:
     @property
     def lasting(self) -> list[Row]:
         """Rows whose steps are safe in the long run, those that `tune` tries: only they are recommended."""
-        most = {method: part_of_bound(self.scene, method_named(method)) for method in self.plan.methods}
-        return [row for row in self.rows if (row.part_of_safe_step or 0.0) <= most.get(row.method, 1.0) * (1.0 + 1e-9)]
+        most = {method: longest_step(self.scene, method) for method in dict.fromkeys(row.method for row in self.rows)}
+        return [row for row in self.rows if row.step <= most[row.method]]
 
     def fastest(self, tolerances: tuple[float, ...] = TOLERANCES) -> Iterator[tuple[float, list[Row]]]:
         """The cheapest rows for each tolerance, that of the plan among them; several where they are equally fast."""
@@ -177,7 +179,10 @@ class Findings:
         yield from self.about()
         if self.front:
             yield ""
-            yield f"No other run is both faster and more accurate than these ({self.front[0].clock} per simulated second):"
+            yield (
+                f"Every stable run that is more accurate than one of these takes {MUCH_LONGER} than it"
+                f" ({self.front[0].clock} per simulated second; times and errors are rounded here):"
+            )
             head = in_unit("error", self.compared.unit)
             yield f"{'method':18}{'precision':>10}{'step':>12}{'s per s':>14}{head:>12}{'relative':>13}"
             for row in self.front:

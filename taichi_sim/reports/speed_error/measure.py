@@ -3,9 +3,8 @@
 import numpy as np
 
 from taichi_sim.analysis.methods import Method, named
-from taichi_sim.analysis.stability import soft_step, stability
 from taichi_sim.reports.speed_error.compared import worst
-from taichi_sim.reports.speed_error.plan import PARTS, Step
+from taichi_sim.reports.speed_error.plan import PARTS, Step, bound
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, STABLE, UNSTABLE, Row
 from taichi_sim.reports.speed_error.trial_process import Outcome
@@ -27,7 +26,7 @@ def row_of(trials: Trials, reference: Reference, outcome: Outcome, precision: st
     """Row of an outcome compared with the reference. A run that ended early has no error, and for its cost what its first
     step promised."""
     scene, duration = trials.scene, trials.plan.duration
-    safe = min(stability(scene, named(method)).dt_any_shape, soft_step(scene, named(method)))
+    safe = bound(scene, method)
     verdict, reason = _verdict(reference, outcome, named(method))
     known = verdict != LEFT_OUT and len(outcome.position) == PARTS
     errors = trials.compared.errors(outcome, reference)[: reference.parts] if known else []

@@ -6,16 +6,16 @@ from taichi_sim.common.quantities import measured
 from taichi_sim.reports.speed_error import plot
 from taichi_sim.reports.speed_error.findings import Findings, choice, in_unit
 from taichi_sim.reports.speed_error.report_folder import ReportFolder
-from taichi_sim.reports.speed_error.rows import UNSTABLE, Row
+from taichi_sim.reports.speed_error.rows import MUCH_LONGER, UNSTABLE, Row
 from taichi_sim.reports.speed_error.statistics import QUANTITIES
 from taichi_sim.studies.figure import png, svg
 from taichi_sim.studies.page_parts import Part, Table, as_html, as_markdown, made_with
 
-NOTES = """h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
+NOTES = f"""h / safe: the step as a part of the one that is safe in every shape. Passes: over the forces, per simulated second.
 Errors: of positions, rms over all balls that are not pinned, or of the quantity, at the worst of eight moments.
 Drift: of the total energy from the reference's, as a part of the largest kinetic and spring energy. Times: of the
 processor, all threads together (on a GPU: wall time), the least of repeated runs, without compiling; noise: by how much
-a usual run takes longer. Bold: no other run is both faster and more accurate.
+a usual run takes longer. Bold: every stable run that is more accurate takes {MUCH_LONGER}.
 Fastest: of the runs with steps that are safe in the long run, as `tune` takes them."""
 
 

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.methods import VERLET, named
-from taichi_sim.analysis.stability import stability
+from taichi_sim.analysis.stability import soft_step, stability
 from taichi_sim.common.version import __version__
 from taichi_sim.files.source import checked_output
 from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
-from taichi_sim.simulation.settings import Settings
+from taichi_sim.simulation.settings import Settings, part_of_bound
 
 METHODS = ("verlet", "symplectic_euler", "rk4", "explicit_euler", "xpbd", "implicit_euler", "tr_bdf2")
 PRECISIONS = ("f64", "f32")
@@ -67,7 +67,7 @@ def halved(duration: float, step: Step) -> Step:
 
 def steps_of(scene: Scene, method: str, plan: Plan) -> list[Step]:
     """The steps to try with a method, the longest first: by default twice the safe step, which shows what becomes of it there,
-    and halvings of that; for methods without a limit from a frame on."""
+    and halvings of that; for methods without a limit from a frame on. The longest that is safe in the long run is among them."""
     if plan.steps is not None:
         return sorted({fitting(plan.duration, seconds) for seconds in plan.steps}, key=lambda step: step.number)
     steps = [fitting(plan.duration, min(FRAME, 2.0 * limit(scene, method)))]
@@ -75,7 +75,20 @@ def steps_of(scene: Scene, method: str, plan: Plan) -> list[Step]:
     by_springs = declared is not None and declared.by_springs
     for _ in range(HALVINGS if by_springs else HALVINGS + 1):
         steps.append(halved(plan.duration, steps[-1]))
-    return steps
+    if longest := longest_step(scene, method):
+        steps.append(fitting(plan.duration, min(FRAME, longest)))
+    return sorted(set(steps), key=lambda step: step.number)
+
+
+def longest_step(scene: Scene, method: str) -> float:
+    """The longest step [s] that is safe in the long run, and one as `fitting` rounds it; no longer one is recommended. 0 where
+    there is none, infinite without a limit."""
+    return part_of_bound(scene, named(method)) * bound(scene, method) * (1.0 + 1e-9)
+
+
+def bound(scene: Scene, method: str) -> float:
+    """The step [s] that is safe in every shape, and leaves no spring too long; see `longest_step`."""
+    return min(stability(scene, named(method)).dt_any_shape, soft_step(scene, named(method)))
 
 
 def limit(scene: Scene, method: str) -> float:

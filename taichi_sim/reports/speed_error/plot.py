@@ -4,13 +4,13 @@ from typing import Any
 
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.plan import METHODS
-from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, STABLE, UNSTABLE, Row
+from taichi_sim.reports.speed_error.rows import CLEAR_OF_REFERENCE, MUCH_LONGER, STABLE, UNSTABLE, Row
 from taichi_sim.studies.figure import INK, dress, literal, styled
 
 COLOURS = ("#3d85c6", "#d99a1c", "#2a9d78", "#8c8c8c", "#c5689c", "#d4623a", "#8a6fd6")  # seen on white and on black
 MARKERS = ("o", "s", "D", "x", "^", "v", "P")
 READ = "Each mark is a run with one step. Further left is more accurate, further down is faster."
-FRONT = "no run is both faster\nand more accurate"
+FRONT = f"what is more accurate\ntakes {MUCH_LONGER}"
 BAND = "these of all precisions,\njoined"
 BROKEN = "unstable, error unknown"
 FLOOR = "least error in\nsingle precision"

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 from taichi_sim.reports.speed_error.plan import METHODS
 
 STABLE, UNSTABLE, LEFT_OUT = "stable", "unstable", "left out"
 LONGER_STEP = 1.9  # times a step must be as long as another for their errors to be compared
 SAME_TIME = 1.2  # times another row's time: up to that they are equally fast
+MUCH_LONGER = f"over {100.0 * (SAME_TIME - 1.0):.0f} % longer"
 ERROR_FALLS = 0.7  # of the error at the longer step, above which a shorter step did not lessen it
 CLEAR_OF_REFERENCE = 10.0  # times what the reference is known to: a smaller error says more of it than of the method
 
@@ -62,15 +62,21 @@ def tells(row: Row, known: float) -> bool:
 def with_orders(rows: Sequence[Row], known: float) -> list[Row]:
     """The rows, sorted by precision and method, steps falling, with the order from each pair of steps that tell."""
     found = sorted(rows, key=lambda row: (row.precision != "f64", METHODS.index(row.method), -row.step))
-    for k, (coarse, fine) in enumerate(pairwise(found), start=1):
+    for k, fine in enumerate(found):
         order = None
-        same = (coarse.precision, coarse.method) == (fine.precision, fine.method)
-        if same and tells(coarse, known) and tells(fine, known):
+        longer = {one.step: one for one in found[:k] if (one.precision, one.method) == (fine.precision, fine.method)}
+        coarse = longer.get(coarser(fine.step, list(longer)) or 0.0)
+        if coarse is not None and tells(coarse, known) and tells(fine, known):
             assert coarse.rms_error is not None
             assert fine.rms_error is not None
             order = math.log(coarse.rms_error / fine.rms_error) / math.log(coarse.step / fine.step)
         found[k] = replace(fine, order=order)
     return found
+
+
+def coarser(step: float, longer: Sequence[float]) -> float | None:
+    """Of longer steps [s] the one that is nearest to twice as long, with which errors are compared; None where there is none."""
+    return min(longer, key=lambda other: abs(math.log2(other / step) - 1.0), default=None)
 
 
 def stuck(rows: Sequence[Row], known: float) -> list[str]:

@@ -22,7 +22,7 @@ from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.findings import equal
 from taichi_sim.reports.speed_error.measure import measure
-from taichi_sim.reports.speed_error.plan import FRAME, Plan, Step, fitting, halved, steps_of
+from taichi_sim.reports.speed_error.plan import Plan, Step, halved, longest_step, steps_of
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report import coarse, floor_of
 from taichi_sim.reports.speed_error.rows import LEFT_OUT, UNSTABLE, Row, cheapest
@@ -30,7 +30,7 @@ from taichi_sim.reports.speed_error.runs import Runs
 from taichi_sim.reports.speed_error.trial_process import TrialProcesses
 from taichi_sim.reports.speed_error.trials import Trials
 from taichi_sim.scene.scene import Scene
-from taichi_sim.simulation.settings import Settings, part_of_bound
+from taichi_sim.simulation.settings import Settings
 
 MORE_HALVINGS = 6  # than a report makes
 WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
@@ -217,16 +217,14 @@ def _least_passes(trials: Trials, method: str) -> float:
 
 
 def _steps(trials: Trials, method: str) -> Iterator[Step]:
-    """The longest step that is safe in the long run, the steps of a report below it, and more halvings."""
+    """The steps of a report that are safe in the long run, and more halvings."""
     scene, plan = trials.scene, trials.plan
-    most = part_of_bound(scene, named(method)) * stability(scene, named(method)).dt_any_shape
+    most = longest_step(scene, method)
     steps = steps_of(scene, method, plan)
     if plan.steps is None:
         for _ in range(MORE_HALVINGS):
             steps.append(halved(plan.duration, steps[-1]))
-        if 0.0 < most < np.inf:
-            steps.insert(0, fitting(plan.duration, min(FRAME, most)))
-    return (step for step in dict.fromkeys(steps) if step.seconds <= most)
+    return (step for step in steps if step.seconds <= most)
 
 
 def settings_of(scene: Scene, row: Row) -> dict[str, Any]:
