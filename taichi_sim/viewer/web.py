@@ -17,8 +17,9 @@ from taichi_sim.forces.pointer import Pointer
 from taichi_sim.viewer.pace import Share
 from taichi_sim.viewer.player import Player, Rows
 from taichi_sim.viewer.web_panel import WebPanel
-from taichi_sim.viewer.web_server import ENDED, HOST, PORT, WebServer
+from taichi_sim.viewer.web_server import HOST, PORT, WebServer
 from taichi_sim.viewer.web_stage import COLOURS, WebStage
+from taichi_sim.viewer.web_waiting import ENDED
 
 __all__ = ["LiveView", "show"]
 
@@ -63,8 +64,7 @@ class LiveView:
         pictures: True if pictures of it are drawn, whose kernels take time, too.
         """
         self._waiting.close()
-        if self._begin > 0.0:  # the words of an earlier wait are gone
-            self._words, self._begin = self._server.viser.gui.add_markdown(""), 0.0
+        self._words.visible, self._begin = True, 0.0
         frame = simulation.frame()
         self._waits_at = frame.time
         self.show(frame)
@@ -77,7 +77,9 @@ class LiveView:
             self._share = Share(MOST_FPS, PART)  # the wait is not charged to the run
             if frame.time != self._waits_at:  # else more kernels follow
                 self._waiting.close()
-                self._words.remove()
+                self._words.visible = (
+                    False  # removed, they were an error of pages that hear of it with a last change of them
+                )
                 self._begin = time.perf_counter()
         self._show(frame)
 
@@ -154,7 +156,7 @@ def show(
             with _telling(words, expected.words), expected.told(lambda _: None):
                 simulation.step(0)
                 player = Player(simulation, pointer, min(fps, MOST_FPS), until)
-            words.remove()
+            words.visible = False
             _Browsers(server, player, title, style or {}).run()
         except KeyboardInterrupt as error:  # as good an end as the close button of a window
             heard()

@@ -12,8 +12,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from taichi_sim.common.errors import BackendError
+from taichi_sim.viewer.web_waiting import PAGE, WAITING
 
-__all__ = ["ENDED", "HOST", "PORT", "WebServer"]
+__all__ = ["HOST", "PORT", "WebServer"]
 
 HOST, PORT, MOST_PORT = "127.0.0.1", 8080, 65535
 EVERYWHERE = ("0.0.0.0", "::", "")
@@ -21,31 +22,9 @@ ALONE = threading.Lock()  # held while functions and a console that all of the p
 SILENT = logging.getLogger(f"{__name__}.requests")  # of what strangers send, which is no error of this program
 SILENT.addHandler(logging.NullHandler())
 SILENT.propagate = False
-ENDED = "The simulation ended"  # the heading of the last words to pages
-PAGE = "?page"  # what viser's page is asked for by, from the one below
-# small, so that it comes at once: while kernels are compiled, other threads get little time, and viser's page stays empty
-WAITING = f"""<!doctype html><html lang="en"><meta charset="utf-8"><title>taichi_sim</title><link rel="icon" href="data:,">
-<div id="waiting" style="position: fixed; z-index: 9; left: 0; right: 0; top: 40%; text-align: center; font: 1.2rem sans-serif">
-taichi_sim is compiling its kernels, or reading the scene.<br>The scene will appear here by itself.</div>
-<script>
-const waiting = document.getElementById("waiting");
-// viser connects in a worker, and tries for ever when the program has gone: nothing comes any more after the last words
-const workers = [], Plain = window.Worker;
-window.Worker = class extends Plain {{ constructor(...all) {{ super(...all); workers.push(this); }} }};
-fetch("{PAGE}").then(answer => answer.text()).then(page => {{
-  document.open(); document.write(page); document.close();
-  document.body.append(waiting);
-  new MutationObserver((_, watch) => {{
-    if (!document.body.textContent.includes("{ENDED}")) return;
-    watch.disconnect(); workers.forEach(one => one.terminate());
-  }}).observe(document.body, {{ childList: true, subtree: true }});
-  const timer = setInterval(() => {{
-    if (!document.querySelector(".figures") && !document.body.innerText.includes("Please wait:")) return;
-    clearInterval(timer); waiting.remove();
-  }}, 100);
-}});
-</script></html>
-"""
+PATIENCE = (
+    60.0  # s for a request to be read and for a page to answer: the compiler may stop all other threads for half of it
+)
 REFUSED = "taichi_sim: open the address that the program printed, with all that follows the port.\n"
 
 
@@ -155,7 +134,8 @@ def _guarded(listening: socket.socket, token: str) -> Iterator[None]:
             return answer
 
         used.append(True)
-        return plain(handler, sock=listening, process_request=admit, logger=SILENT, **options)
+        options |= {"open_timeout": PATIENCE, "ping_timeout": PATIENCE, "logger": SILENT}
+        return plain(handler, sock=listening, process_request=admit, **options)
 
     server.serve = serve  # type: ignore[assignment, misc]
     try:

@@ -21,6 +21,7 @@ from taichi_sim.viewer.overlay import PULL
 from taichi_sim.viewer.player import Rows
 from taichi_sim.viewer.web_server import WebServer
 from taichi_sim.viewer.web_surface import WebSurface, textured, to_bytes
+from taichi_sim.viewer.web_waiting import PHONE
 
 __all__ = ["COLOURS", "WebStage"]
 
@@ -37,7 +38,7 @@ LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
 PICTURE = (1280, 880)  # px of a page whose shape is not known
 LEAST_PAGE, LARGEST_PAGE = 100, 20_000  # px
-PANEL = 330  # px of a page, which the panel covers at the right
+PANEL = 330  # px of a page wider than PHONE, which the panel covers at the right
 LIGHT = 0.5  # of what viser lights surfaces with beside its lamps, which alone makes colours pale
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
 
@@ -96,7 +97,7 @@ class WebStage:
 
     def _seen(self, width: int, height: int) -> Camera:
         """The camera of a page of so many px, which shows the scene beside the panel; as pictures are seen that wide."""
-        panel = min(PANEL, width // 2)
+        panel = min(PANEL, width // 2) if width > PHONE else 0
         free = (width - panel, height)
         camera = self._style.get("camera")
         if self._first.dim == 3:

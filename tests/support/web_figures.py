@@ -1,5 +1,5 @@
 """The figures of docs/web.md: what pages of four scenes get, and what they cost. `python -m tests.support.web_figures` prints
-the table. It takes Chromium and playwright."""
+the table. It takes Chromium."""
 
 import sys
 import time
@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
-from web_page import Page, browser
+from chromium import Chromium, chromium
+from web_page import Page
 
 import taichi_sim as ts
 from taichi_sim.analysis.frame import Frame
@@ -74,9 +75,8 @@ def for_a_while() -> Callable[[int], bool]:
     return lambda number: time.perf_counter() > end
 
 
-def row(name: str, frames: list[Frame], chromium) -> str:
+def row(name: str, frames: list[Frame], browser: Chromium) -> str:
     """A line of the table."""
-    errors: list[str] = []
     with WebServer(port=0) as server:
         stage = WebStage(server, frames[0], {})
         stage.show(frames[0])
@@ -87,26 +87,24 @@ def row(name: str, frames: list[Frame], chromium) -> str:
             feed(stage, frames, lambda number: part["updates"] >= most)
             time.sleep(3.0)
             size = (page.bytes - before) / (part["updates"] - most + 30)
-        window = chromium.new_page(viewport={"width": 640, "height": 360})
-        window.on("console", lambda said: errors.append(said.text) if said.type == "error" else None)
-        window.on("pageerror", lambda error: errors.append(str(error)))
-        window.add_init_script(f"({SHOWN})()")
-        window.goto(server.url)
+        window = browser.window()
+        window.call("Page.addScriptToEvaluateOnNewDocument", source=f"({SHOWN})()")
+        window.open(server.url)
         feed(stage, frames, for_a_while())  # until the page has loaded
-        shown, begin = window.evaluate("window.pictures"), time.perf_counter()
+        shown, begin = window.run("window.pictures"), time.perf_counter()
         sent, cost = feed(stage, frames, for_a_while())
-        shown, spent = window.evaluate("window.pictures") - shown, time.perf_counter() - begin
+        shown, spent = window.run("window.pictures") - shown, time.perf_counter() - begin
         window.close()
     return (
         f"| {name} | {size / 1000:.0f} kB | {1000 * cost:.1f} ms | {sent / spent:.0f} | {shown / spent:.1f}"
-        f" | {len(errors)} |"
+        f" | {len(window.errors)} |"
     )
 
 
 if __name__ == "__main__":
     print("| scene | bytes of a picture | processor time | sent a second | shown a second | errors in the console |")
     print("|---|---|---|---|---|---|")
-    with browser() as chromium:
+    with chromium() as browser:
         for number in (1_000, 10_000, 100_000):
-            print(row(f"{number} balls", balls(number), chromium), flush=True)
-        print(row("cloth of 128 x 128 balls", cloth(128), chromium), flush=True)
+            print(row(f"{number} balls", balls(number), browser), flush=True)
+        print(row("cloth of 128 x 128 balls", cloth(128), browser), flush=True)

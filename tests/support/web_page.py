@@ -1,9 +1,8 @@
-"""A page without a browser: what its script would say to a server, and what it hears. And the browser, where one is there."""
+"""A page without a browser: what its script would say to a server, and what it hears."""
 
-import shutil
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 import msgspec
@@ -13,7 +12,6 @@ from viser import _messages
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-BROWSER = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("chromium-browser")
 CAMERA = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 3.0), "look_at": (0.0, 0.0, 0.0)}
 CAMERA |= {
     "fov": 1.0,
@@ -117,17 +115,3 @@ class Page:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-@contextmanager
-def browser():
-    """A headless browser that draws in software."""
-    from playwright.sync_api import sync_playwright
-
-    options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
-    with sync_playwright() as playwright:
-        one = playwright.chromium.launch(executable_path=BROWSER, args=options)
-        try:
-            yield one
-        finally:
-            one.close()
