@@ -13,13 +13,22 @@ from taichi_sim.analysis.methods import (
     IMPLICIT_EULER,
     RK4,
     SYMPLECTIC_EULER,
+    TR_BDF2,
     VERLET,
     XPBD,
     Method,
 )
 from taichi_sim.analysis.preflight import cautions
 from taichi_sim.analysis.slow_modes import Decay, not_worked_out, slow_decays
-from taichi_sim.analysis.stability import Stability, explicit_parts, sinking_spring, soft_step, stability, without
+from taichi_sim.analysis.stability import (
+    Stability,
+    explicit_parts,
+    sinking_spring,
+    soft_step,
+    softened_spring,
+    stability,
+    without,
+)
 from taichi_sim.analysis.strikes import safe_step
 from taichi_sim.common.quantities import at_most, measured
 from taichi_sim.scene.scene import Scene
@@ -119,6 +128,11 @@ def lines(sim: Simulation) -> Iterator[str]:
     if limiting:
         yield f"limited by            {', '.join(limiting)}"
     yield f"why                   {limits.reason}"
+    if used.single_pass and (softened := softened_spring(scene, h)):
+        spring, left = softened
+        k = scene.stiffness[spring]
+        yield f"softened              in this step spring {spring} bears others with about {left:.2g} of its {k:.3g} N/m"
+        yield f"{'':22}springs in the middle of a net act with less; where that shows, take {VERLET} or {TR_BDF2}"
     yield from damping(scene, used, h, sim.position)
     for finding in findings(scene, sim.setup):
         yield f"{finding.subject:22}{finding.what}"
@@ -208,6 +222,10 @@ def _free_choice(sim: Simulation) -> str:
     used = sim.settings.integrator.method
     if any(cautions(sim.scene, sim.setup)):
         return "no spring limits the step; follow the warnings above, then choose it by the accuracy you need"
+    if used.single_pass and softened_spring(sim.scene, sim.dt / sim.substeps):
+        return (
+            f"springs act too softly, see above: take {VERLET} or {TR_BDF2}, or halve the step until the result stays"
+        )
     if sim.settings.chosen and used is not VERLET and sim.settings.tolerance is None:
         return "this step is for pictures; for a number with a known error run `taichi-sim tune`"
     return "no spring limits the step; choose it by the accuracy you need"
@@ -222,7 +240,7 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return (
             f"take steps of {at_most(struck)} s at most, or {VERLET}: in longer ones impacts of balls may give energy"
         )
-    if (soft := soft_step(scene, used)) < safe:
+    if (soft := soft_step(scene, used)) < min(safe, h):
         return (
             f"take steps of {at_most(soft)} s at most: in longer ones {used} leaves springs too long by what they carry"
         )

@@ -247,6 +247,22 @@ def load_on_a_chain(load: float) -> ts.Scene:
     return scene
 
 
+def test_xpbd_tells_the_stiffness_that_its_springs_act_with():
+    """One of the springs of a damped chain at rest is as soft; where steps are short, nothing is told."""
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    b = scene.add_balls([[0.0, -0.5 * k, 0.0] for k in range(6)], radius=0.01, mass=0.3, pinned=[0])
+    scene.add_springs(np.stack([b[:-1], b[1:]], axis=1), stiffness=2e3, damping=6.0)
+    settings = {"arch": "cpu", "precision": PRECISION, "integrator": "xpbd", "contacts": "off"}
+    with ts.Simulation(scene, dt=0.02, substeps=1, **settings) as sim:
+        words = next(line for line in check.lines(sim) if line.startswith("softened")).split()
+        sim.run(8.0)
+        stretch = -np.diff(sim.position[:, 1]) - 0.5
+    softest = np.min(0.3 * 9.81 * np.arange(5, 0, -1) / stretch)  # 613 N/m
+    assert softest / 1.4 < float(words[words.index("about") + 1]) < softest < 0.5 * 2e3
+    with ts.Simulation(scene, dt=1e-3, substeps=1, **settings) as sim:
+        assert not any(line.startswith("softened") for line in check.lines(sim))
+
+
 def test_xpbd_names_the_step_above_which_a_load_makes_springs_too_long():
     """All that is said names one step, which is a cure: there the warning is gone."""
     with warnings.catch_warnings(record=True) as seen:
