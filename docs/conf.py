@@ -23,6 +23,7 @@ html_theme = "furo"
 html_title = f"taichi_sim {__version__}"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_js_files = ["site.js"]
 html_copy_source = False
 html_show_sphinx = False
 html_show_search_summary = False  # it is fetched, which browsers refuse for files
