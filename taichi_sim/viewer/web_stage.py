@@ -90,6 +90,9 @@ class WebStage:
     def _look(self) -> None:
         self.scene.set_up_direction("+y")
         self.scene.configure_environment_map(environment_intensity=LIGHT)
+        if self.server.framed:  # told again, pages that are open would forget what fits their own shape
+            return
+        self.server.framed = True
         seen, start = self._seen(*PICTURE), self.server.viser.initial_camera
         start.up, start.fov = seen.up, float(np.radians(seen.fov))
         start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()

@@ -33,6 +33,7 @@ class Page:
         self.kinds: set[str] = set()  # of messages so far
         self.camera: dict[str, tuple[float, float, float]] = {}  # by the kind of message, the start left out
         self.bytes, self.slow = 0, slow
+        self.starts = 0  # messages on where pages look from at first
         address = url.replace("http://", "ws://").rstrip("/")
         self.socket = connect(address, subprotocols=[f"viser-v{version}"], max_size=None, compression=None)
         self.say("ViewerCameraMessage", **CAMERA | own)
@@ -55,6 +56,7 @@ class Page:
         whole = msgspec.msgpack.decode(zstandard.ZstdDecompressor().decompress(message[16 : 16 + size]))
         for one in whole["messages"]:
             self.kinds.add(one["type"])
+            self.starts += one["type"].startswith("SetCamera") and one.get("initial", False)
             if one["type"].startswith("SetCamera") and not one.get("initial"):
                 self.camera[one["type"]] = one.get("position") or one.get("look_at")
             if one["type"] == "NotificationShowMessage":

@@ -317,6 +317,20 @@ def test_each_page_sees_the_scene_as_large_as_its_own_shape_allows():
             assert max(np.ptp(across) / free, np.ptp(high) / height) > 0.75
 
 
+def test_a_second_stage_does_not_undo_what_fits_an_open_page():
+    """`view` has one stage while it waits and one that can be played with: told again where to look from, a page forgot its own
+    shape."""
+    frame = sheet(3)
+    with WebServer(port=0) as server, Page(server.url, image_width=390, image_height=844) as page:
+        page.until(lambda: server.watched)
+        WebStage(server, frame, {})
+        page.until(lambda: len(page.camera) == 2 and page.starts)
+        starts = page.starts
+        WebStage(server, frame, {}).show(frame)
+        page.until(lambda: "/balls" in page.parts)
+        assert page.starts == starts
+
+
 def test_a_scene_of_any_size_and_anywhere_is_as_large_and_in_the_middle():
     for unit, far in ((1e-4, 0.0), (1.0, 5e3), (2e6, -1e7)):
         rng = np.random.default_rng(3)
