@@ -23,7 +23,8 @@ class Membranes(Corners):
     gather. On one thread explicit methods add these in the same order to the balls instead, in `sum`, and read copies of places
     and velocities, `padded`, with a fourth number: a register holds them, and the loop takes half of the time.
 
-    Fields: `triangle`, one row each; `given` (3 t): what each has for its corners; `state`: F by its columns u and v, and S + T.
+    Fields: `triangle`, one row each; `given` (3 t): what each has for its corners, where they gather it; `state`: F by its
+    columns u and v, and S + T.
     """
 
     name = "membranes"
@@ -43,16 +44,22 @@ class Membranes(Corners):
             values["damping"] = scene.membrane_damping
         self.triangle = fields.table({**types, **dict.fromkeys(values, real)}, self.count, {**data, **values})
         vector = ti.types.vector(3, real)
-        self.given = fields.vectors(3 * self.count, 3)
         self.state = fields.table({"u": vector, "v": vector, "stress": vector}, self.count)
         self.scatters = model.serial and not np.isfinite(scene.break_strain).any()
         if self.scatters:
             four = ti.types.vector(padded_blocks.width(3), real)
             self.padded = fields.table({"x": four, "v": four} if self.damped else {"x": four}, model.n)
             self.sum = fields.vectors(model.n, padded_blocks.width(3))
+        else:
+            self.given = fields.vectors(3 * self.count, 3)
         # triangle after triangle, so that each ball adds them in the order in which one thread does
         others = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
         self.gather(model, fields, others, corners.ravel(), {"place": ti.i32}, {"place": np.arange(3 * self.count)})
+
+    def allocate_derivatives(self, fields: Fields) -> None:
+        """Declare what corners gather on one thread, too."""
+        if self.scatters:
+            self.given = fields.vectors(3 * self.count, 3)
 
     @ti.func
     def _slope(self, a, b, c, of):
