@@ -70,9 +70,12 @@ def _solids(scene: Scene) -> Iterator[tuple[int, Collider, NDArray[np.bool_]]]:
 
 def sieves(scene: Scene) -> Iterator[Sieve]:
     """Colliders, and loose balls, that the cloth of a scene lets through, at rest or where it is stretched by up to SLACK."""
-    if scene.dim == 2 or not len(scene.triangles):
-        return
-    around, slit, side = holes(scene)
+    if scene.dim == 3 and len(scene.triangles):
+        yield from _sieves(scene, *holes(scene))
+
+
+def _sieves(scene: Scene, around: Floats, slit: Floats, side: Floats) -> Iterator[Sieve]:
+    """See `sieves`; around, slit, side: see `holes`."""
     radius = scene.radius[scene.triangles].min(axis=1)
     for k, collider, minds in _solids(scene):
         half, flat = _width(collider)
@@ -229,13 +232,13 @@ def _at_edges(scene: Scene, ball: Floats, least: Floats, named: set[str]) -> Ite
 
 def findings(scene: Scene) -> Iterator[tuple[str, str]]:
     """Solids that come through the cloth of a scene, or into it: what is said of each, and the cure."""
-    found = list(sieves(scene))
+    if scene.dim == 2 or not len(scene.triangles):
+        return
+    around, slit, side = holes(scene)
+    found = list(_sieves(scene, around, slit, side))
     for sieve in found:
         what, cure = through(sieve).split(": ", 1)
         yield what, cure
-    if scene.dim == 2 or not len(scene.triangles):
-        return
-    around, _, side = holes(scene)
     ball = scene.radius[scene.triangles].min(axis=1)
     for k, collider, minds in _solids(scene):
         if collider.kind != ROUND:

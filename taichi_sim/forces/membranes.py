@@ -44,13 +44,14 @@ class Membranes(Corners):
             values["damping"] = scene.membrane_damping
         self.triangle = fields.table({**types, **dict.fromkeys(values, real)}, self.count, {**data, **values})
         vector = ti.types.vector(3, real)
-        self.given = self.force = fields.vectors(3 * self.count, 3)
         self.state = fields.table({"u": vector, "v": vector, "stress": vector}, self.count)
         self.scatters = model.serial and not np.isfinite(scene.break_strain).any()
         if self.scatters:
             four = ti.types.vector(padded_blocks.width(3), real)
             self.padded = fields.table({"x": four, "v": four} if self.damped else {"x": four}, model.n)
             self.sum = fields.vectors(model.n, padded_blocks.width(3))
+        else:
+            self.given = self.force = fields.vectors(3 * self.count, 3)
         # triangle after triangle, so that each ball adds them in the order in which one thread does
         others = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
         self.gather(model, fields, others, corners.ravel(), {"place": ti.i32}, {"place": np.arange(3 * self.count)})
@@ -168,7 +169,9 @@ class Membranes(Corners):
         return loss
 
     def allocate_derivatives(self, fields: Fields) -> None:
-        """Declare forces in the precision of places."""
+        """Declare what corners gather on one thread, too, and forces in the precision of places."""
+        if self.scatters:
+            self.given = self.force = fields.vectors(3 * self.count, 3)
         if fields.wide != fields.real:
             self.force = fields.vectors(3 * self.count, 3, wide=True)
 

@@ -6,6 +6,7 @@ from physics_support import F64, simulate
 from scene_files import assert_unchanged
 
 import taichi_sim as ts
+from taichi_sim.forces.membranes import Membranes
 from taichi_sim.integrators import ImplicitEuler
 from taichi_sim.scene.membranes import MEMBRANES
 from taichi_sim.scene.presets import PRESETS
@@ -155,3 +156,15 @@ def test_too_much_coupling_names_its_triangle():
     scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]], radius=0.1)
     with pytest.raises(ts.SceneError, match=r"^membranes\.coupling\[1\]: -3\.5 .* at most 3,"):
         scene.add_membranes([[0, 2, 1], [1, 2, 3]], warp=9.0, weft=1.0, shear=1.0, coupling=[2.9, -3.5])
+
+
+@pytest.mark.once
+def test_what_corners_gather_is_kept_where_they_gather():
+    """On one thread explicit methods add forces to the balls at once."""
+    scene = ts.Scene(dim=3)
+    ts.shapes.cloth(scene, (0.7, 0.4), (4, 3), **LAW)
+    for method, gathers in (("verlet", False), ("implicit_euler", True)):
+        with ts.Simulation(scene, integrator=method, dt=1e-4, driver="fused") as sim:
+            assert sim.parts.model.serial
+            (membranes,) = (one for one in sim.parts.forces.elements if isinstance(one, Membranes))
+            assert hasattr(membranes, "given") == gathers
