@@ -54,7 +54,7 @@ class Method:
     same for elements that give their derivatives. `single_pass`: each spring gives once in a step, or by halves in two
     passes, what it would if it were alone. `contacts_follow`: springs are solved before it knows of contacts.
     `holds_at_surfaces`: but not before those with walls and colliders. `swing_power`: of the elastic part of the energy, with
-    which `swing` grows.
+    which `swing` grows. `stage`: length of an implicit one, in steps.
 
     A method that can say more overrides the functions below:
 
@@ -75,6 +75,7 @@ class Method:
     contacts_follow: bool = False
     holds_at_surfaces: bool = False
     swing_power: float = 1.0
+    stage: float = 1.0
 
     def __str__(self) -> str:
         return self.name
@@ -283,6 +284,7 @@ TR_BDF2 = _TRBDF2(
     solves_elements=True,
     contacts_follow=True,
     holds_at_surfaces=True,
+    stage=0.5 * GAMMA,
 )
 
 BUILT_IN_METHODS = {

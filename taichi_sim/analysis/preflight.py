@@ -102,7 +102,7 @@ def _of_impacts(scene: Scene, method: Method, h: float) -> Iterator[str]:
     bounced, resolved = strikes.bounce_step(scene, method), strikes.resolved_bounce_step(scene, method)
     if h > min(bounced, resolved) * (1.0 + 1e-9):
         restitution = f"restitution of {max_restitution(scene):g}"
-        what = f"bounce by their elasticity alone, without the {restitution}"
+        what = f"bounce by their elasticity alone, without the {restitution}, where contacts press along what holds their balls"
         if h <= resolved:
             what = f"that bounce at a {restitution} may gain energy"
         yield (

@@ -18,6 +18,7 @@ from taichi_sim.geometry.graph import components
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.materials import max_restitution
+from taichi_sim.scene.part import Quadratic
 from taichi_sim.scene.scene import Scene
 
 __all__ = [
@@ -35,7 +36,7 @@ __all__ = [
 # Longest step times the largest frequency of balls on their springs, omega h, at which nets, cloth and jelly struck by balls of
 # 5 to 450 times the mass of theirs gained less than a tenth of the kinetic energy before it: by stages, and by two passes
 ANSWERED, ANSWERED_BY_PASSES = 2.0, 1.0
-OWN_PART = 0.5  # of the bound of omega^2: what a ball's own springs give it where the balls around it stay, k of 2 k in a chain
+OWN_PART = 0.5  # of the bound of omega^2 of bricks and solids: what they give a ball where the balls around it stay
 
 
 def strike_step(scene: Scene, method: Method) -> float:
@@ -69,12 +70,46 @@ def bounce_step(scene: Scene, method: Method) -> float:
 
 
 def resolved_bounce_step(scene: Scene, method: Method) -> float:
-    """The longest step [s] in which balls of springs or elements keep a restitution of their own, see
-    kernels.contacts.contact_law.swing; infinite where nothing bounces, and for explicit methods, which always do."""
+    """The longest step [s] in which balls of springs or elements keep a restitution of their own: h^2 n . K n / m of what stages
+    solve for is at most 1, see kernels.contacts.contact_law.swing; infinite where nothing bounces, and for methods that always
+    do. n: the normals of walls, where these are all that bodies meet, and as they lie at the start; else any."""
+    solved = method.solved(scene)
+    if method.single_pass and not any(one.is_implicit for one in solved):  # which has no stages then
+        return np.inf
     if method.limit is None or method.limit.by_springs or max_restitution(scene) == 0.0:
         return np.inf
-    omega = fastest_swing(scene)
-    return float(1.0 / (np.sqrt(OWN_PART) * omega)) if omega > 0.0 else np.inf
+    springs = not method.single_pass  # which stages solve for
+    stiff = _holding(scene, scene.stiffness * springs, [form for one in solved for form in one.stiffness(scene)])
+    damped = _holding(scene, scene.damping * springs, [form for one in solved for form in one.damping(scene)])
+    if scene.colliders or scene.pinned.any() or np.ptp(scene.velocity, axis=0).any() or may_strike(scene):
+        elastic, drag = (np.linalg.eigvalsh(one)[:, -1] for one in (stiff, damped))
+    else:
+        n = np.array([wall.normal for wall in scene.walls]).reshape(-1, scene.dim)
+        elastic, drag = (np.einsum("wa,iab,wb->iw", n, one, n) for one in (stiff, damped))
+    further = np.sum(
+        [(0.0, 0.0), *(one.further_rates(scene) for one in solved if one.is_implicit)], axis=0
+    )  # along any
+    elastic, drag = elastic + OWN_PART * further[0], drag + OWN_PART * further[1]
+    root = drag / method.stage + np.sqrt((drag / method.stage) ** 2 + 4.0 * elastic)  # of h^2 K + h D / stage = 1
+    most = float(np.max(root, initial=0.0))
+    return 2.0 / most if most > 0.0 else np.inf
+
+
+def _holding(scene: Scene, k: NDArray[np.float64], forms: list[Quadratic]) -> NDArray[np.float64]:
+    """w K (n, dim, dim) of each ball at rest, where the balls around it stay, of springs of k (m,) and of elements."""
+    blocks = np.zeros((scene.n_balls, scene.dim, scene.dim))
+    r = scene.position[scene.pairs[:, 1]] - scene.position[scene.pairs[:, 0]]
+    d = np.linalg.norm(r, axis=1)
+    across = np.where(d > scene.rest_length, 1.0 - scene.rest_length / np.where(d > 0.0, d, 1.0), 0.0)
+    n = r / np.where(d > 0.0, d, 1.0)[:, None]
+    along = (1.0 - across)[:, None, None] * n[:, :, None] * n[:, None, :] + across[:, None, None] * np.eye(scene.dim)
+    for end in scene.pairs.T:
+        np.add.at(blocks, end, k[:, None, None] * along)
+    for form in forms:
+        g = form.gradient
+        each = g[..., :, None] * g[..., None, :] if g.shape[2] > 1 else g[..., None] ** 2 * np.eye(scene.dim)
+        np.add.at(blocks, form.corners, form.strength[:, None, None, None] * each)
+    return np.where(scene.pinned, 0.0, 1.0 / scene.mass)[:, None, None] * blocks
 
 
 def safe_step(scene: Scene, method: Method) -> float:

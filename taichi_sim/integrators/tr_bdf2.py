@@ -37,7 +37,7 @@ class TRBDF2(Implicit):
     reflects = True
     late_part = 1.0
     stages, opening = 3, 1
-    part = 0.5 * GAMMA
+    part = TR_BDF2.stage
     ends = (part, GAMMA, 1.0)
     past_parts = (1.0, 1.0, 0.5 / MIDDLE)
     carries = (0.0, 0.0, MIDDLE)

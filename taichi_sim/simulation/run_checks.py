@@ -49,8 +49,10 @@ class RunChecks:
         self._rush = RUSH * float(scene.radius.min()) if parts.plan.pairs else np.inf  # m a substep
         self._single = parts.backend.precision == "f32"
         self._solves = parts.integrator.solver_report() is not None
-        # each step, see EnergyMonitor.gain_of_step: a look costs up to as much as a cheap step, so only where steps may gain
-        gains = (parts.contacts.active and max_restitution(scene) > 0.0) or self._is_rigid()
+        # each step, see EnergyMonitor.gain_of_step: a look costs up to as much as a cheap step, so only where steps may gain;
+        # without restitution by methods above order 1 alone, which also go by forces from before what touches came to be held
+        touched = max_restitution(scene) > 0.0 or run.method.order > 1
+        gains = (parts.contacts.active and touched) or self._is_rigid()
         self.watches_steps = self._solves and not self.drivers and gains
         # beyond the bound for every shape the present one decides; where nothing is safe that was said at the start
         is_bounded = scene.n_balls + scene.n_springs <= MOST_BOUNDED

@@ -83,7 +83,7 @@ def test_bodies_that_bounce_at_steps_too_long_for_them_are_warned_of(method, res
         assert not [w for w in cautions(scene, Setup(method, 0.99 * step, "f64", "jacobi")) if w.startswith("bounce: ")]
 
 
-@pytest.mark.parametrize("method", [TR_BDF2, IMPLICIT_EULER, XPBD])
+@pytest.mark.parametrize("method", [TR_BDF2, IMPLICIT_EULER])
 def test_steps_in_which_bodies_have_no_restitution_of_their_own_are_told(method):
     scene = truss(0.3, 0.0)
     (words,) = [

@@ -1,12 +1,18 @@
 """Balls of elastic bodies do not bounce by themselves where a step does not resolve how they swing; all others do."""
 
+import warnings
+
 import numpy as np
 import pytest
 from physics_support import F64, simulate
 
 import taichi_sim as ts
+from taichi_sim.analysis.accuracy import Setup
+from taichi_sim.analysis.methods import BUILT_IN_METHODS
+from taichi_sim.analysis.preflight import cautions
 
 LAW = {"mass_per_area": 0.25, "warp": 260.0, "weft": 230.0, "shear": 70.0, "coupling": 25.0, "bending_rigidity": 1e-5}
+SPEED = 1.7  # m/s
 
 
 def test_a_sheet_bounces_across_itself_and_not_along():
@@ -29,6 +35,98 @@ def test_a_sheet_bounces_across_itself_and_not_along():
     assert np.diff([one.total for one in energy]).max() < 1e-3 * max(one.kinetic for one in energy)
     risen = np.max(height[round(0.42 / h) :], axis=0) - 0.01
     assert risen == pytest.approx(restitution**2 * (drop - 0.01), rel=0.06)
+
+
+def told(scene, method, h):
+    """True if bodies that bounce by their elasticity alone are told of."""
+    setup = Setup(BUILT_IN_METHODS[method], h, "f64", "gauss_seidel")
+    return any("by their elasticity alone" in words for words in cautions(scene, setup))
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("turned", "normal", "tells"), [(0, (0, 1, 0), False), (0, (0.3, 1, 0), True), (90, (0, 1, 0), True)]
+)
+def test_a_sheet_is_told_of_where_walls_press_along_it(turned, normal, tells):
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
+    scene.add_material("skin", restitution=0.6)
+    scene.add_wall(normal, material="skin")
+    ts.shapes.cloth(
+        scene,
+        (0.6, 0.54),
+        (8, 7),
+        position=(2.0, 0.7, 0.0),
+        rotation=(turned, 0, 0),
+        radius=0.01,
+        material="skin",
+        **LAW,
+    )
+    assert told(scene, "tr_bdf2", 1 / 110) == tells
+    scene.set_balls([0], velocity=(0.0, 0.1, 0.0))  # then it comes as it may
+    assert told(scene, "tr_bdf2", 1 / 110)
+
+
+def thrown(kind, scene=None, x=0.0):
+    """A square of springs or of bricks that falls level on a wall."""
+    if scene is None:
+        scene = ts.Scene(dim=2)
+        scene.add_material("gel", restitution=0.7)
+        scene.add_wall((0, 1), material="gel")
+    if kind == "springs":
+        place = 0.12 * np.stack(np.meshgrid(*[np.arange(3.0)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+        i, j = np.triu_indices(9, 1)
+        near = np.linalg.norm(place[i] - place[j], axis=1) < 0.18
+        balls = scene.add_balls(place + np.array((x, 0.2)), mass=0.1, radius=0.02, material="gel")
+        scene.add_springs(balls[np.stack([i, j], axis=1)[near]], stiffness=3e4)
+    else:
+        law = {"density": 25.0, "young_modulus": 3e4, "damping": 0.0}
+        balls = ts.shapes.jelly(scene, (0.2, 0.2), (3, 3), position=(x, 0.2), radius=0.02, material="gel", **law).balls
+    scene.set_balls(balls, velocity=(0.0, -SPEED))
+    return scene, balls
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # springs gain energy in such steps, and a run says so
+def test_by_xpbd_springs_keep_their_restitution_and_elements_do_not():
+    """Its stages solve for elements alone, and so know of no other stiffness."""
+    h, springs = 1 / 90, thrown("springs")[0]
+    assert not told(springs, "xpbd", h)
+    assert told(springs, "implicit_euler", h)
+    bricks, jelly = thrown("bricks")
+    assert told(bricks, "xpbd", h)
+    scene, truss = thrown("springs", bricks, 2.0)
+    with simulate(scene, integrator="xpbd", dt=h, substeps=1) as sim:
+        fastest = np.full(2, -np.inf)
+        for _ in range(round(0.15 / h)):
+            sim.step()
+            struck = sim.velocity[:, 1] > -0.99 * SPEED
+            for k, balls in enumerate((truss, jelly)):
+                if np.isinf(fastest[k]) and struck[balls].any():
+                    fastest[k] = sim.velocity[balls, 1].max()
+            if np.isfinite(fastest).all():
+                break
+    assert fastest[0] == pytest.approx(0.7 * SPEED, rel=1e-3)
+    assert abs(fastest[1]) < 0.02 * SPEED
+
+
+@pytest.mark.slow
+def test_a_gain_without_restitution_is_told():
+    """It was looked for where something bounces alone. An undamped jelly that landed flat gains when it lifts off."""
+    scene = ts.Scene(dim=2)
+    scene.add_wall((0, 1))
+    law = {"density": 25.0, "young_modulus": 3e4, "damping": 0.0}
+    ts.shapes.jelly(scene, (0.2, 0.2), (3, 3), position=(0.0, 0.02 + 2.1 * SPEED / 90), radius=0.02, **law)
+    scene.set_balls(velocity=(0.0, -SPEED))
+    with simulate(scene, integrator="tr_bdf2", dt=1 / 90, substeps=1) as sim:
+        stored = [sim.energy()]
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            for _ in range(8):
+                sim.step()
+                stored.append(sim.energy())
+        gain = np.diff([one.total for one in stored]).max() / max(one.kinetic for one in stored)
+        assert sim.scales().gained == pytest.approx(gain, rel=0.05)
+    assert gain > 0.05
+    assert any("largest kinetic energy in one step" in str(one.message) for one in said)
 
 
 @pytest.mark.slow_where(method="tr_bdf2")
