@@ -168,6 +168,11 @@ def test_an_address_that_cannot_be_had_is_one_sentence():
     assert caught.value.errno is None  # the command prints the sentence alone
     with pytest.raises(OSError, match="is no address of this machine"):
         WebServer(host="203.0.113.7", port=0)
+    for host in ("", None, "0", "0x0", "::0", "::ffff:0.0.0.0"):
+        with pytest.raises(
+            ValueError, match=rf"^host: {host!r} is not allowed; .*0.0.0.0 or :: for all of its addresses$"
+        ):
+            WebServer(host=host, port=0)
     with pytest.raises(ValueError, match="port: 65536 is not allowed; it must be from 0 to 65535"):
         WebServer(port=65536)
 
