@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.device.engine import CompilationError, ti
+from taichi_sim.device.engine import CompilationError, shape_of, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
@@ -154,8 +154,7 @@ class Element(Corners):
 
     def _fits(self, function: str, value: Any, shape: tuple[int, ...]) -> bool:
         """True where a function returns a value of this shape; raises FunctionError else, while kernels are compiled."""
-        is_number = not hasattr(value, "get_shape") or (hasattr(value, "is_tensor") and not value.is_tensor())
-        found = () if is_number else tuple(value.get_shape())
+        found = shape_of(value)
         if found != shape:
             raise FunctionError(
                 f"{type(self).__name__}.{function}: returns {_of_shape(found)}; it must return {_of_shape(shape)}"
