@@ -79,14 +79,14 @@ class Element(Corners):
         return self.product is not None
 
     def corners(self, scene: Scene) -> NDArray[np.int32]:
-        """`balls`, checked."""
+        """`balls`, checked. Raises SceneError."""
         where = f"{type(self).__name__}.balls"
         balls = validation.as_array(getattr(self, "balls", None))
         if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
             raise SceneError(
                 where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
             )
-        return validation.indices(where, balls, scene.n_balls, balls.shape[1])
+        return validation.corners(where, balls, scene.n_balls, balls.shape[1])
 
     def check(self, scene: Scene) -> None:
         """Raises SceneError for balls, columns or a force that do not fit."""
@@ -111,6 +111,8 @@ class Element(Corners):
         if not isinstance(self.columns, Mapping):
             raise SceneError(where, self.columns, "a dict of names, with one number each or one per element")
         for name in self.columns:
+            if not isinstance(name, str) or not name.isidentifier():
+                raise SceneError(where, name, "the name of a number, which `force` reads as row.name")
             if name in ("corner", *CORNER_NAMES):
                 raise SceneError(f"{where}.{name}", says="is the name of a corner; call the column otherwise")
         return {name: validation.per_item(f"{where}.{name}", value, count) for name, value in self.columns.items()}
