@@ -50,7 +50,7 @@ class FakeSimulation:
     def kernels(self) -> list[str]:
         return []
 
-    def exported(self) -> AbstractContextManager:
+    def exported(self, is_exported: bool = True) -> AbstractContextManager:
         return nullcontext()
 
     def frames(self, fps: float, duration: float) -> Iterator[Frame]:
