@@ -100,7 +100,7 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
 
 
 def _real(where: str, found: NDArray[Any], what: str) -> NDArray[Any]:
-    """What a user's function returned. Raises SceneError unless it is of real numbers, which may be nan."""
+    """The values that a user's function returned. Raises SceneError unless it is of real numbers, which may be nan."""
     if found.dtype.kind not in "iuf":
         raise SceneError(where, found, says=f"is not {what}")
     return found

@@ -1,4 +1,4 @@
-"""How far points reach along directions. No Taichi."""
+"""The reach of points along directions. No Taichi."""
 
 from collections.abc import Iterator
 
