@@ -68,6 +68,11 @@ class SolidOfTwo(Solid):
         return p[0] - q[0]
 
 
+def of_number(rod):
+    rod.columns[5] = 1.0
+    return rod
+
+
 class Silent(ts.Output):
     needs_image = False
 
@@ -94,6 +99,18 @@ class Silent(ts.Output):
         (
             {"forces": [Rod([[0, 1, 2]], stiffness=[1.0, 2.0])]},
             "Rod.columns.stiffness: shape (2,) does not fit; it must be one number or 1 of them",
+        ),
+        (
+            {"forces": [Rod([[0, 1, 2], [2, 0, 2]], stiffness=1.0)]},
+            "Rod.balls[1]: [2, 0, 2] names a ball twice; give 3 different",
+        ),
+        (
+            {"forces": [Rod([[0, 1, 2]], **{"stiffness": 1.0, "rest length": 2.0})]},
+            "Rod.columns: 'rest length' is not allowed; it must be the name of a number, which `force` reads as row.name",
+        ),
+        (
+            {"forces": [of_number(Rod([[0, 1, 2]], stiffness=1.0))]},
+            "Rod.columns: 5 is not allowed; it must be the name of a number, which `force` reads as row.name",
         ),
         ({"forces": [Rod([[0, 1], [2]])]}, "Rod.balls: shape () does not fit; it must be (e, k), k from 2 to 8"),
         ({"integrator": Method("verlet")}, "integrator: Method.method must be a ts.Method, not 'verlet'"),

@@ -93,8 +93,17 @@ def _custom(scene: Scene, force: Any, x: Floats, v: Floats, torn: NDArray) -> fl
         if found.shape != whole.shape:
             says = f"returns an array of shape {found.shape}; it must be {whole.shape}, one energy for each element"
             raise SceneError(f"{type(force).__name__}.energies", says=says)
-        return float(np.sum(found[whole]))
-    return float(force.energy(x, v)) if hasattr(force, "energy") else 0.0
+        return float(np.sum(_real(f"{type(force).__name__}.energies", found, "a list of numbers")[whole]))
+    if not hasattr(force, "energy"):
+        return 0.0
+    return float(_real(f"{type(force).__name__}.energy", np.asarray(force.energy(x, v)), "a number"))
+
+
+def _real(where: str, found: NDArray[Any], what: str) -> NDArray[Any]:
+    """The values that a user's function returned. Raises SceneError unless it is of real numbers, which may be nan."""
+    if found.dtype.kind not in "iuf":
+        raise SceneError(where, found, says=f"is not {what}")
+    return found
 
 
 def torn_open(scene: Scene, position: NDArray, torn: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.geometry.mesh import Edges
+from taichi_sim.geometry.support import farthest
 from taichi_sim.scene.colliders import BOX, ROUND, Collider
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.objects import ball_in_words, owner
@@ -54,8 +55,9 @@ def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
 def _width(collider: Collider) -> tuple[float, bool]:
     """Half the width [m] of a solid collider where it is narrowest, and whether only between two rows of balls does it fit."""
     if collider.is_meshed:
-        across = _hull(collider).equations[:, :3] @ collider.vertices.T
-        return 0.5 * float(np.ptp(across, axis=1).min()), True
+        hull = _hull(collider)
+        corners, normals = collider.vertices[hull.vertices], hull.equations[:, :3]
+        return 0.5 * float((farthest(corners, normals) + farthest(corners, -normals)).min()), True
     return (float(collider.half.min()), True) if collider.kind == BOX else (collider.radius, False)
 
 
@@ -182,8 +184,7 @@ class _Edges(NamedTuple):
 
         def reach(direction: Floats) -> Floats:
             direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
-            parts = np.array_split(direction, 1 + len(direction) * len(hull) // 2_000_000)
-            return np.concatenate([(part @ hull.T).max(axis=1) for part in parts]) - np.sum(tip * direction, axis=1)
+            return farthest(hull, direction) - np.sum(tip * direction, axis=1)
 
         face = np.minimum(reach(cosine * one - other), reach(cosine * other - one))  # in each face, away from the edge
         return cls(math.pi - np.arccos(np.clip(cosine[:, 0], -1.0, 1.0)), reach(-one - other), face)

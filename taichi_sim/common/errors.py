@@ -145,8 +145,22 @@ def short(value: object) -> str:
     """A value as text, cut off where that is long and no path."""
     if isinstance(value, os.PathLike):
         return repr(os.fspath(value))
-    text = repr(value.tolist() if hasattr(value, "tolist") else value)  # NumPy's
+    text = _text(value.tolist() if hasattr(value, "tolist") else value)  # NumPy's
     return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+
+
+def _text(value: object) -> str:
+    """A value as Python writes it; integers of too many digits for that, which files give in hexadecimal ones, in these."""
+    try:
+        return repr(value)
+    except ValueError:
+        if isinstance(value, int):
+            return hex(value)
+        if isinstance(value, (list, tuple)):
+            return f"[{', '.join(map(_text, value))}]"
+        if isinstance(value, dict):
+            return f"{{{', '.join(f'{_text(key)}: {_text(item)}' for key, item in value.items())}}}"
+        raise
 
 
 def unknown_key(path: str | Sequence[str | int], known: Collection[str], what: str = "a known key") -> SceneError:

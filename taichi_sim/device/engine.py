@@ -8,6 +8,7 @@ import os
 import sys
 import warnings
 from copy import copy
+from functools import wraps
 from types import ModuleType
 from typing import Any
 
@@ -27,6 +28,7 @@ __all__ = [
     "has_right_sines",
     "on_device",
     "program",
+    "shape_of",
     "ti",
 ]
 
@@ -100,8 +102,31 @@ def _inside_class(level_of_class_stackframe: int) -> bool:
     return "__qualname__" in names and "__module__" in names
 
 
+def shape_of(value: Any) -> tuple[int, ...]:
+    """Shape of a value in a kernel that is being compiled: () of a number, (k,) of a vector, (k, l) of a matrix."""
+    is_number = not hasattr(value, "get_shape") or (hasattr(value, "is_tensor") and not value.is_tensor())
+    return () if is_number else tuple(value.get_shape())
+
+
+def _of_like_shape(change: Any) -> Any:
+    """An operation that changes a value, such as `+=`, which raises where vectors or matrices differ in shape: Taichi compares
+    them where they are assigned, and ends the process where one is added to the other."""
+
+    @wraps(change)
+    def checked(x: Any, y: Any) -> Any:
+        if shape_of(y) not in ((), shape_of(x)):
+            raise ti.TaichiTypeError(f"{change.__name__}: shape {shape_of(y)} does not fit one of {shape_of(x)}")
+        return change(x, y)
+
+    return checked
+
+
 if IS_KNOWN:
     ti.lang.kernel_impl._inside_class = _inside_class
+    for _name in ("add", "sub", "mul", "min", "max"):
+        _changed = _of_like_shape(getattr(ti.lang.ops, f"atomic_{_name}"))
+        setattr(ti.lang.ops, f"atomic_{_name}", _changed)
+        setattr(ti, f"atomic_{_name}", _changed)
 
 
 def program() -> Any:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, path_of
+from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, path_of, short
 from taichi_sim.files.toml_schema import Document
 from taichi_sim.scene.scene import Scene
 
@@ -117,4 +117,4 @@ def _nowhere(node: Any, parts: KeyPath, depth: int) -> SceneError:
         what = f"{here}[0] to [{len(node) - 1}]" if len(node) > 1 else f"{here}[0]"
         named = f"; or, by name, {', '.join(names)}" if names else ""
         return SceneError(parts, says=f"is not in this scene; there is {what}{named}")
-    return SceneError(parts, says=f"is not in this scene; {here} is {node!r}, which has no parts")
+    return SceneError(parts, says=f"is not in this scene; {here} is {short(node)}, which has no parts")

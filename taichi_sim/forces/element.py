@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.device.engine import CompilationError, ti
+from taichi_sim.device.engine import CompilationError, shape_of, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
@@ -79,14 +79,14 @@ class Element(Corners):
         return self.product is not None
 
     def corners(self, scene: Scene) -> NDArray[np.int32]:
-        """`balls`, checked."""
+        """`balls`, checked. Raises SceneError."""
         where = f"{type(self).__name__}.balls"
         balls = validation.as_array(getattr(self, "balls", None))
         if balls.ndim != 2 or not 2 <= balls.shape[1] <= len(CORNER_NAMES):
             raise SceneError(
                 where, says=f"shape {balls.shape} does not fit; it must be (e, k), k from 2 to {len(CORNER_NAMES)}"
             )
-        return validation.indices(where, balls, scene.n_balls, balls.shape[1])
+        return validation.corners(where, balls, scene.n_balls, balls.shape[1])
 
     def check(self, scene: Scene) -> None:
         """Raises SceneError for balls, columns or a force that do not fit."""
@@ -111,6 +111,8 @@ class Element(Corners):
         if not isinstance(self.columns, Mapping):
             raise SceneError(where, self.columns, "a dict of names, with one number each or one per element")
         for name in self.columns:
+            if not isinstance(name, str) or not name.isidentifier():
+                raise SceneError(where, name, "the name of a number, which `force` reads as row.name")
             if name in ("corner", *CORNER_NAMES):
                 raise SceneError(f"{where}.{name}", says="is the name of a corner; call the column otherwise")
         return {name: validation.per_item(f"{where}.{name}", value, count) for name, value in self.columns.items()}
@@ -154,8 +156,7 @@ class Element(Corners):
 
     def _fits(self, function: str, value: Any, shape: tuple[int, ...]) -> bool:
         """True where a function returns a value of this shape; raises FunctionError else, while kernels are compiled."""
-        is_number = not hasattr(value, "get_shape") or (hasattr(value, "is_tensor") and not value.is_tensor())
-        found = () if is_number else tuple(value.get_shape())
+        found = shape_of(value)
         if found != shape:
             raise FunctionError(
                 f"{type(self).__name__}.{function}: returns {_of_shape(found)}; it must return {_of_shape(shape)}"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common.atomic_file import require_file
 from taichi_sim.common.errors import SceneError, did_you_mean
-from taichi_sim.geometry.svg_transforms import require_transforms
+from taichi_sim.geometry.svg_values import require_values
 
 __all__ = ["FONT_FILES", "Outline", "drawing_outlines", "text_outlines"]
 
@@ -148,6 +148,8 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
         reason = "its groups are too deep" if isinstance(error, RecursionError) else error
         if isinstance(error, (LookupError, TypeError, AttributeError)):  # whose messages are of the parser alone
             reason = "it holds something else than SVG has there"
+        if isinstance(error, ArithmeticError):
+            reason = "it has numbers that are too small or too large"
         raise SceneError(where, file, says=f"cannot be read as SVG: {reason}") from None
     found_rings: list[tuple[list[NDArray], bool, tuple[float, float, float]]] = []
     corners = 0
@@ -206,10 +208,10 @@ def drawing_outlines(where: str, file: str | os.PathLike[str], height: float) ->
 
 
 def _weight(file: str | os.PathLike[str]) -> int:
-    """Bytes of the texts in a drawing once each `use` is replaced by what it names. Raises ValueError where one names itself, or
-    has a transform that is none."""
+    """Bytes of the texts in a drawing once each `use` is replaced by what it names. Raises ValueError where one names itself, and
+    what `require_values` raises it for."""
     root = ElementTree.parse(file).getroot()
-    require_transforms(root)
+    require_values(root)
     named = {element.get("id"): element for element in root.iter()}
     known: dict[Any, int | None] = {}
 
@@ -266,6 +268,8 @@ def _flat(path: Any, step: float, most: int) -> NDArray:
         elif isinstance(segment, (CubicBezier, QuadraticBezier, Arc)):
             coarse = segment.npoint(np.linspace(0.0, 1.0, 17))
             length = float(np.linalg.norm(np.diff(coarse, axis=0), axis=1).sum())  # a few thousandths less than it is
+            if not math.isfinite(length):
+                raise ValueError("a curve is not finite")
             pieces = int(min(1000, max(4, math.ceil(length / step))))
             points += map(tuple, segment.npoint(np.arange(1, pieces + 1) / pieces).tolist())
         if len(points) > most:

@@ -53,7 +53,7 @@ def export(
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
             where they would take over a fiftieth of it. "auto": 60 s, from the second minute on. None: none.
         error: run the scene a second time at half the step, and give what is read with the error of step and rounding.
-        watch: called with each frame that is simulated, like `LiveView.show`. `simulation.reset` is refused there.
+        watch: called with each frame that is simulated, like `LiveView.show`. `step`, `reset` and `export` are refused there.
     Outputs are finished here, also when the simulation becomes unstable, and discarded on any other error.
 
     Outputs that were opened with `resume` must be given the simulation, and the arguments, that their run began with (`duration`
@@ -116,7 +116,7 @@ def export(
             clock.charge("writing")
         summary = clock.summary
         observer = Observer(simulation, summary)
-        frames = _observed(frames, observer, clock, companion, watch)
+        frames = _observed(_moving(simulation, frames), observer, clock, companion, watch)
         bar.phase(expected.words, "frames simulated" if drawn_last else "frames", simulation.time)
         waiting = stack.enter_context(ExitStack())
         if log is not None and checkpoint is not None:
@@ -317,6 +317,16 @@ def _recall(last: Checkpoint, renderer: Any) -> Summary:
         summary = Summary.of(last.own["summary"])
     summary.resumed, summary.checkpoints = last.frame, summary.checkpoints + 1
     return summary
+
+
+def _moving(simulation: Any, frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Frames for which this export moves the simulation, as whoever gets them may not."""
+    while True:
+        with simulation.exported(False):
+            frame = next(frames, None)
+        if frame is None:
+            return
+        yield frame
 
 
 def _observed(

@@ -92,8 +92,9 @@ class FrameLog:
 
     def begin(self, about: Mapping[str, Any]) -> list[Checkpoint]:
         """The checkpoints of this run, which `about` describes: plain values by their names in groups. The last one first; none
-        where there is none. Raises ValueError, which names what differs, where the folder is that of another run, and SceneError,
-        which names the file, where it is damaged."""
+        where there is none. Raises ValueError, which names what differs, where the folder is that of another run, and where
+        the output was finished or discarded; SceneError, which names the file, where it is damaged."""
+        self._require_open()
         self._about = json.loads(json.dumps(about))
         if not self.resumes:
             return []
@@ -223,8 +224,7 @@ class FrameLog:
     def open(self) -> Path:
         """The folder, made where it is not there; what another run left in it is dropped. Raises OSError, and ValueError where
         the output was finished or discarded."""
-        if self._is_left:
-            raise ValueError(f"{self.output}: was finished or discarded, and takes no more frames; open it anew")
+        self._require_open()
         if not self.resumes:
             self.folder.mkdir(exist_ok=True)
             require_own(self.folder, _is_ours, OURS)
@@ -237,6 +237,11 @@ class FrameLog:
                 raise
             self.resumes = True
         return self.folder
+
+    def _require_open(self) -> None:
+        """Raise ValueError where the output was finished or discarded."""
+        if self._is_left:
+            raise ValueError(f"{self.output}: was finished or discarded, and takes no more frames; open it anew")
 
     def keep(self, frame: int, save: Callable[[Path], Any], own: Mapping[str, Any], settles: bool = True) -> None:
         """Make a checkpoint. save: writes the simulation to a file, whole before it appears. It takes the place of the last one,

@@ -181,8 +181,9 @@ class Simulation(Reader):
 
     def step(self, n: int = 1) -> None:
         """Advance by n steps of dt. step(0) only compiles; on several threads the step itself compiles with the first. Raises
-        UnstableError, leaving the last good state."""
+        UnstableError, leaving the last good state, and SceneError during an export of it."""
         steps = validation.whole("step", n, 0)
+        self._require_no_export("step")
         self._require_unchanged()
         if self._still:
             self._stepper.steps += steps
@@ -372,13 +373,22 @@ class Simulation(Reader):
         return self.parts.names()
 
     @contextmanager
-    def exported(self) -> Iterator[None]:
-        """Refuse `reset` in the block: an export has frames of one scene."""
-        before, self._exported = self._exported, True
+    def exported(self, is_exported: bool = True) -> Iterator[None]:
+        """Refuse `reset`, `step` and a second export in the block: an export has frames of one scene, at its own times. Within,
+        `exported(False)` is where the export moves it. Raises SceneError in a block of another export."""
+        if is_exported:
+            self._require_no_export("export")
+        before, self._exported = self._exported, is_exported
         try:
             yield
         finally:
             self._exported = before
+
+    def _require_no_export(self, name: str) -> None:
+        """Raise SceneError about a function of that name during an export."""
+        if self._exported:
+            says = "cannot be called in an export, which moves the simulation itself; call it when the export has ended"
+            raise SceneError(name, says=says)
 
     # Another scene -------------------------------------------------------------------------------------------------
 
@@ -392,9 +402,7 @@ class Simulation(Reader):
         memory. Raises what a new Simulation does, and leaves this one as it is, or closes it if the error comes after the new
         scene took its memory, as where settling fails. Raises SceneError during an export of it.
         """
-        if self._exported:
-            says = "cannot be called in an export, whose frames are of one scene; call it when the export has ended"
-            raise SceneError("reset", says=says)
+        self._require_no_export("reset")
         on = self.parts
         other = object.__new__(type(self))
         try:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from taichi_sim.analysis.probe_readings import quantity_of
-from taichi_sim.common.errors import SceneError, did_you_mean, words_of
+from taichi_sim.common.errors import SceneError, did_you_mean, short, words_of
 from taichi_sim.files.source import run_as_module
 from taichi_sim.scene.scene import Scene
 from taichi_sim.sweeps.design import RESERVED
@@ -206,4 +206,4 @@ def _numbers(name: str, value: Any) -> dict[str, float]:
     try:
         return {str(key): float(one) for key, one in pairs}
     except (TypeError, ValueError):
-        raise SceneError("measure", says=f"{name}() returned {value!r}; it must return numbers") from None
+        raise SceneError("measure", says=f"{name}() returned {short(value)}; it must return numbers") from None

@@ -9,6 +9,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from ipaddress import ip_address
 from typing import Any
 
 from taichi_sim.common.errors import BackendError
@@ -17,7 +18,7 @@ from taichi_sim.viewer.web_waiting import PAGE, WAITING
 __all__ = ["HOST", "PORT", "WebServer"]
 
 HOST, PORT, MOST_PORT = "127.0.0.1", 8080, 65535
-EVERYWHERE = ("0.0.0.0", "::", "")
+EVERYWHERE = ("0.0.0.0", "::")  # what must be said for all addresses
 ALONE = threading.Lock()  # held while functions and a console that all of the process shares are others for a server
 SILENT = logging.getLogger(f"{__name__}.requests")  # of what strangers send, which is no error of this program
 SILENT.addHandler(logging.NullHandler())
@@ -33,7 +34,8 @@ class WebServer:
 
     host: of this machine's addresses the one to listen on; port: 0 for any that is free. It works in threads of its own: what
     they want done to a simulation, they put into `later`, and the thread of the simulation calls `work`. Raises BackendError
-    where viser is missing, OSError where the address cannot be had, ValueError for a port that there is not.
+    where viser is missing, OSError where the address cannot be had, ValueError for a port that there is not, and for a host that
+    means all addresses without saying it by one of EVERYWHERE.
     """
 
     def __init__(self, host: str = HOST, port: int = PORT) -> None:
@@ -92,12 +94,17 @@ def _viser() -> Any:
 
 
 def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens there and nowhere else. Raises OSError in a sentence."""
+    """A socket that listens there and nowhere else. Raises OSError and ValueError in a sentence."""
     if not 0 <= port <= MOST_PORT:
         raise ValueError(f"port: {port} is not allowed; it must be from 0 to {MOST_PORT}")
     try:
-        found = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
-        return socket.create_server(found[0][4][:2], family=found[0][0])
+        family, *_, place = socket.getaddrinfo(host or None, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        address: Any = ip_address(place[0])
+        if (getattr(address, "ipv4_mapped", None) or address).is_unspecified and host not in EVERYWHERE:
+            raise ValueError(
+                f"host: {host!r} is not allowed; it must be an address of this machine, or 0.0.0.0 or :: for all of its addresses"
+            )
+        return socket.create_server(place[:2], family=family)
     except (OSError, UnicodeError) as error:
         number = getattr(error, "errno", None)
         if number == errno.EADDRINUSE:

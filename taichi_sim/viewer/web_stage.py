@@ -34,6 +34,7 @@ ROUND = ((500, 2), (20_000, 1), (MOST_SPHERES, 0))  # so many spheres at most ha
 SCALE = to_bytes(Colouring.shades(256))  # of colours, sRGB
 SIZES = 8  # of points
 FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
+NEAREST_EYE, FARTHEST_EYE = 1e-6, 1e9  # of the size of the scene: cameras of pages
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
 PICTURE = (1280, 880)  # px of a page whose shape is not known
@@ -50,6 +51,18 @@ def _like_sizes(radius: NDArray) -> list[tuple[float, NDArray]]:
     sizes = np.unique(np.quantile(radius, (np.arange(SIZES) + 0.5) / SIZES, method="nearest"))
     kind = np.searchsorted((sizes[1:] + sizes[:-1]) / 2, radius)
     return [(float(size), np.flatnonzero(kind == k)) for k, size in enumerate(sizes)]
+
+
+def _is_camera(its: Any) -> bool:
+    """True where a page's camera is one that viser can move."""
+    try:
+        vectors = np.array([its.position, its.look_at, its.up_direction], dtype=np.float64)
+        sizes = np.array([its.image_width, its.image_height], dtype=np.float64)
+    except (TypeError, ValueError):
+        return False
+    if vectors.shape != (3, 3) or not (np.abs(vectors) < FARTHEST_EYE).all() or not np.isfinite(sizes).all():
+        return False
+    return bool(np.linalg.norm(vectors[1] - vectors[0]) > NEAREST_EYE and vectors[2].any())
 
 
 class WebStage:
@@ -117,11 +130,14 @@ class WebStage:
         return replace(seen, eye=triple(seen.eye + aside), target=triple(seen.target + aside))
 
     def _fit(self, client: Any) -> None:
-        """Let a page that was just opened look as its own shape wants it. A page may say anything."""
+        """Let a page that was just opened look as its own shape wants it. A page may say anything: one whose camera, or size, is
+        none is left as it is."""
         if client.client_id in self.server.fitted:
             return
         self.server.fitted.add(client.client_id)
         its, low, high = client.camera, LEAST_PAGE, LARGEST_PAGE
+        if not _is_camera(its):
+            return
         width, height = (int(np.clip(one, low, high)) for one in (its.image_width, its.image_height))
         seen = self._seen(width, height)
         its.position, its.look_at = self._to_page(np.array([seen.eye, seen.target]))

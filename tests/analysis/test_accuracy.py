@@ -1,5 +1,6 @@
 """What `check` and the summary of a run say of errors, against runs that make them."""
 
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -10,6 +11,7 @@ import taichi_sim as ts
 from taichi_sim.analysis import accuracy, contact_loads, sieves
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET, XPBD
 from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy, untouched
+from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
 
@@ -588,3 +590,21 @@ def test_no_more_of_a_solid_comes_through_cloth_than_there_is(collider, across, 
     assert [what.startswith("edges") for what in told] == [across > 0.05]
     if across > 0.05:
         assert 0.1 < figure(told[0], " m between") <= reach
+
+
+@pytest.mark.once
+def test_memory_for_a_fine_collider_below_cloth_grows_as_its_mesh_does():
+    """4 times the triangles took 16 times the memory."""
+    most = []
+    for cuts in (2, 3, 4):  # the first imports
+        ball = icosphere(cuts)
+        scene = ts.Scene(dim=3)
+        scene.add_collider(ts.Mesh((ball.vertices * (0.02, 0.3, 0.5), ball.triangles)))
+        ts.shapes.cloth(scene, size=(1, 1), resolution=(7, 7))
+        tracemalloc.start()
+        (goes,) = sieves.sieves(scene)
+        list(sieves.findings(scene))
+        most.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert goes.width == pytest.approx(0.04, rel=0.02)
+    assert most[2] < 5.0 * most[1]

@@ -7,6 +7,7 @@ import pytest
 import taichi_sim as ts
 from taichi_sim.cli.command import echo
 from taichi_sim.common.errors import about, path_of, unknown_key
+from taichi_sim.files.parameters import put
 
 pytestmark = pytest.mark.once
 
@@ -85,3 +86,27 @@ def test_the_name_of_a_file_is_whole_in_a_message(capsys):
     path = "/".join(["folder" * 10] * 15)
     echo(f"{path}: there is no such file", err=True)
     assert path in capsys.readouterr().err
+
+
+HUGE = "0x7" + "b" * 4000  # Python writes no such number in decimal digits
+
+
+@pytest.mark.parametrize("line", ["[[balls]]\nradius = {}\nposition = [[0, 0]]", "[[balls]]\nradius = 1\nposition = [[0, {}]]",
+    "dim = {}", "gravity = {}", "[[walls]]\nnormal = [0, {}]", "[simulation]\ndt = {}", "[simulation]\nsubsteps = {}",
+    "[output]\nfps = {}", "[output]\nstyle = {{ depth = {} }}", "wind = {{ x = {} }}", "format = {}", "[output]\noverlay = {}",
+    "[[rope]]\nstart = {}", "balls = {}", "[materials]\nrubber = {}", "[output.camera]\nfollow = {}"])  # fmt: skip
+def test_a_number_of_too_many_digits_is_cut_off(tmp_path, line):
+    text = line.format(HUGE)
+    file = tmp_path / "a.toml"
+    file.write_text(text if text.startswith("format") else f"format = 1\n{text}\n")
+    with pytest.raises(ts.SceneError) as caught:
+        ts.load_scene(file)
+    assert len(str(caught.value).replace(str(file), "")) < 400
+    assert "digits" not in str(caught.value)
+
+
+def test_values_that_hold_such_a_number_are_cut_off_too():
+    for value in (int(HUGE, 16), -int(HUGE, 16), [1, [int(HUGE, 16)]], {"a": int(HUGE, 16)}):
+        assert len(str(ts.SceneError("mass", value, "less"))) < 120
+    with pytest.raises(ts.SceneError, match=r"gravity is 0x7bb.*, which has no parts"):
+        put({"gravity": int(HUGE, 16)}, "gravity[0]", 1.0)

@@ -7,6 +7,7 @@ from physics_support import EPS, F64, PRECISION
 
 import taichi_sim as ts
 from taichi_sim.analysis.methods import BUILT_IN_METHODS
+from taichi_sim.device.engine import CompilationError
 from taichi_sim.reports import check
 
 H = 1e-3
@@ -301,3 +302,27 @@ def test_a_force_that_depends_on_time_leaves_each_method_its_order(method):
             errors.append(abs(sim.position[1, 0] - 1.0 - exact))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     assert order == pytest.approx(BUILT_IN_METHODS[method].order, abs=0.15)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("by", [2, 4])
+def test_a_force_of_another_dimension_is_an_error_that_names_both(by):
+    """It ended the process, in C++."""
+
+    @ti.data_oriented
+    class Lift:
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+            for i in range(model.n):
+                if ti.static(by == 2):
+                    impulse[i] -= h * ti.Vector([0.5] * by)
+                else:
+                    ti.atomic_add(impulse[i], ti.Vector([0.5] * by))
+
+    scene = ts.Scene(dim=3)
+    scene.add_balls([0, 0, 0], radius=0.1)
+    with ts.Simulation(scene, forces=[Lift()], dt=H, arch="cpu", precision=PRECISION) as sim:
+        with pytest.raises(Exception, match=rf"shape \({by},\) does not fit one of \(3,\)") as told:
+            sim.step()
+        assert isinstance(told.value, CompilationError)
+        assert "in accumulate" in str(told.value)

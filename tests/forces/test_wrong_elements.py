@@ -76,3 +76,27 @@ def test_energies_of_another_shape_are_named(energies):
     band.energies = lambda position: energies
     with simulate(band) as sim, pytest.raises(ts.SceneError, match=r"Band\.energies: .*it must be \(3,\)"):
         sim.energy()
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("energies", [np.full(3, 2.0 + 1j), np.array(["a", "b", "c"]), np.array([None] * 3)], ids=str)
+def test_energies_that_are_no_numbers_are_named(energies):
+    band = Band(PAIRS, 3.0)
+    band.energies = lambda position: energies
+    with simulate(band) as sim, pytest.raises(ts.SceneError, match=r"Band\.energies: .*is not a list of numbers"):
+        sim.energy()
+
+
+@pytest.mark.once
+def test_an_energy_of_a_force_that_is_no_number_is_named():
+    @ti.data_oriented
+    class Rest:
+        @ti.func
+        def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+            pass
+
+        def energy(self, position, velocity):
+            return 1j
+
+    with simulate(Rest()) as sim, pytest.raises(ts.SceneError, match=r"Rest\.energy: 1j is not a number"):
+        sim.energy()

@@ -13,8 +13,10 @@ from types import SimpleNamespace
 import av
 import numpy as np
 import pytest
+from physics_support import PRECISION
 from PIL import Image
 
+import taichi_sim as ts
 from taichi_sim import Frame, Scene, UnstableError
 from taichi_sim.analysis.frame import Contacts
 from taichi_sim.analysis.outcome import Scales
@@ -48,7 +50,7 @@ class FakeSimulation:
     def kernels(self) -> list[str]:
         return []
 
-    def exported(self) -> AbstractContextManager:
+    def exported(self, is_exported: bool = True) -> AbstractContextManager:
         return nullcontext()
 
     def frames(self, fps: float, duration: float) -> Iterator[Frame]:
@@ -617,3 +619,19 @@ def test_what_has_ended_takes_no_more_frames(tmp_path, name, end):
         output.write(0, frame, image if output.needs_image else None)
     output.discard()
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.parametrize("name", ["twice.csv", "twice.npz", "twice.ply"])
+def test_an_output_takes_the_frames_of_one_export(tmp_path, name):
+    """Of the second one it said that a file of its own was missing."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls([0.0, 1.0], radius=0.1)
+    with ts.Simulation(scene, arch="cpu", precision=PRECISION, contacts="off", dt=0.01) as sim:
+        output = ts.open_output(tmp_path / name)
+        ts.export(sim, output, fps=50, duration=0.04)
+        written = {file: file.read_bytes() for file in tmp_path.iterdir()}
+        with pytest.raises(
+            ValueError, match=rf"{name}: was finished or discarded, and takes no more frames; open it anew$"
+        ):
+            ts.export(sim, output, fps=50, duration=0.04)
+        assert {file: file.read_bytes() for file in tmp_path.iterdir()} == written

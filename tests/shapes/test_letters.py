@@ -185,6 +185,8 @@ def test_a_drawing_in_a_file(tmp_path):
 
 # Refused ------------------------------------------------------------------------------------------------------------
 
+BELOW = "which SVG has from 0 on"
+ARC = '<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 0A{} 0 0 1 3 3L0 3Z"/></svg>'
 HUGE = '<svg xmlns="http://www.w3.org/2000/svg"><circle cx="{0}" cy="0" r="{0}"/></svg>'
 OPEN = DRAWING.replace("H0 Z M5", "H0 M5")
 
@@ -225,6 +227,28 @@ def test_what_is_refused_leaves_the_scene_as_it_was(given, message):
         (DRAWING.replace("#ff0000", "none").replace('"blue"', '"none"'), "shows no filled area"),
         (HUGE.format("1e300"), "has coordinates beyond 1e+50"),
         (HUGE.format("1e60"), "has coordinates beyond 1e+50"),
+        (
+            '<ellipse xmlns="http://www.w3.org/2000/svg" rx="2" ry="1"/>',
+            "cannot be read as SVG: its root is <ellipse>, not <svg>",
+        ),
+        ("<g><rect width='2' height='1'/></g>", "cannot be read as SVG: its root is <g>, not <svg>"),
+        ("<body/>", "cannot be read as SVG: its root is <body>, not <svg>"),
+        *(
+            (
+                f"<svg xmlns='http://www.w3.org/2000/svg'><{one}/></svg>",
+                f"cannot be read as SVG: <{one.split()[0]}> has {what}, {BELOW}",
+            )
+            for one, what in (
+                ("rect width='-3' height='2'", "width='-3'"),
+                ("rect width='3' height=' -2mm '", "height=' -2mm '"),
+                ("rect width='3' height='2' rx='-.5'", "rx='-.5'"),
+                ("circle r='-4e0'", "r='-4e0'"),
+                ("ellipse rx='5' ry='-5%'", "ry='-5%'"),
+                ("svg width='-7' height='8'", "width='-7'"),
+            )
+        ),
+        (ARC.format("1e-290 1e-290"), "cannot be read as SVG: it has numbers that are too small or too large"),
+        (ARC.format("3e-155 3e-155"), "has numbers "),
         (None, "is not there; it must be an existing .svg file"),
         *(
             (

@@ -321,3 +321,42 @@ def test_a_reset_is_refused_in_an_export(tmp_path):
         assert not list(tmp_path.iterdir())
         sim.reset(flock(2))
         assert ts.export(sim, None, fps=4, duration=1).frames == 5
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("name", "moves"),
+    [
+        ("step", lambda sim: sim.step(3)),
+        ("step", lambda sim: sim.run(0.2)),
+        ("step", lambda sim: list(sim.frames(fps=8.0, duration=0.25))),
+        ("export", lambda sim: ts.export(sim, None, fps=8, duration=0.25)),
+    ],
+    ids=["step", "run", "frames", "export"],
+)
+def test_nobody_else_moves_a_simulation_in_an_export(name, moves):
+    """The frames that followed came at other times than those of the export, without a word."""
+
+    class Mover(ts.Output):
+        needs_image = False
+
+        def write(self, index, frame, image):
+            if index == 2:
+                moves(sim)
+
+        def finish(self):
+            pass
+
+        def discard(self):
+            pass
+
+    says = (
+        rf"^{name}: cannot be called in an export, which moves the simulation itself; call it when the export has ended"
+    )
+    with ts.Simulation(flock(2), contacts="off", dt=0.05, **CPU) as sim:
+        for given in ({"output": Mover()}, {"output": None, "watch": lambda frame: frame.time > 0.3 and moves(sim)}):
+            sim.reset(flock(2))
+            with pytest.raises(ts.SceneError, match=says):
+                ts.export(sim, **given, fps=4, duration=1)
+            assert sim.time == pytest.approx(0.5)
+        moves(sim)

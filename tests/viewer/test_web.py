@@ -168,6 +168,11 @@ def test_an_address_that_cannot_be_had_is_one_sentence():
     assert caught.value.errno is None  # the command prints the sentence alone
     with pytest.raises(OSError, match="is no address of this machine"):
         WebServer(host="203.0.113.7", port=0)
+    for host in ("", None, "0", "0x0", "::0", "::ffff:0.0.0.0"):
+        with pytest.raises(
+            ValueError, match=rf"^host: {host!r} is not allowed; .*0.0.0.0 or :: for all of its addresses$"
+        ):
+            WebServer(host=host, port=0)
     with pytest.raises(ValueError, match="port: 65536 is not allowed; it must be from 0 to 65535"):
         WebServer(port=65536)
 
@@ -496,6 +501,32 @@ def test_nothing_that_a_page_says_ends_the_simulation(played, page):
     page.say("ShareUrlRequest")
     now = played.time
     played.until(lambda: played.time > now + 0.2)
+
+
+def test_a_page_whose_camera_is_none_is_left_as_it_is_without_a_word(capfd):
+    """viser printed a traceback."""
+    frame = Frame(0.0, np.array([[0.0, 1.0], [0.5, 1.2]]), np.zeros((2, 2)), np.full(2, 0.1))
+    nan, up = float("nan"), (0.0, 1.0, 0.0)
+    with WebServer(port=0) as server:
+        WebStage(server, frame, {})
+        for own in (
+            {"look_at": (0.0, nan, 0.0)},
+            {"position": (float("inf"), 0.0, 0.0)},
+            {"up_direction": (nan, nan, nan)},
+            {"up_direction": (0.0, 0.0, 0.0)},
+            {"position": (1e308, 0.0, 0.0), "look_at": (-1e308, 0.0, 0.0)},
+            {"position": up, "look_at": up},
+            {"position": (0.0, 3.0, 0.0), "up_direction": up},
+            {"position": (0.0, 3.0), "look_at": "here"},
+        ):
+            before = len(server.fitted)
+            with Page(server.url, **own):
+                while len(server.fitted) == before:
+                    time.sleep(0.01)
+        with Page(server.url) as page:
+            page.until(lambda: len(page.camera) > 1)
+    said = capfd.readouterr()
+    assert said.out + said.err == ""
 
 
 def test_control_c_ends_it(played):
