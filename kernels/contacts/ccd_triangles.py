@@ -145,7 +145,9 @@ def cut_short(triangles: ti.template(), solver: ti.template(), ball: ti.template
 def place_planes(c, triangles: ti.template(), ball: ti.template()):
     """The planes that neither side of contact c may cross."""
     contact = triangles.contact[c]
-    up, down, keep = planes(triangles, ball, balls_of(triangles, c), contact.normal, contact.kind)
+    up, down, keep = planes(
+        triangles, ball, balls_of(triangles, c), contact.normal, contact.kind, ti.abs(contact.thickness)
+    )
     triangles.contact[c].upper_plane = up + PLANE_CLEARANCE * keep
     triangles.contact[c].lower_plane = down - PLANE_CLEARANCE * keep
 
@@ -153,7 +155,8 @@ def place_planes(c, triangles: ti.template(), ball: ti.template()):
 @ti.func
 def hold_contact_apart(c, triangles: ti.template(), ball: ti.template()):
     """Cut short the ways of the balls of contact c that cross its planes all the same."""
-    hold_apart(triangles, ball, balls_of(triangles, c), triangles.contact[c].normal, triangles.contact[c].kind)
+    contact = triangles.contact[c]
+    hold_apart(triangles, ball, balls_of(triangles, c), contact.normal, contact.kind, ti.abs(contact.thickness))
 
 
 @ti.func

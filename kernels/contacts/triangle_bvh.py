@@ -10,6 +10,7 @@ nothing is looked for until some ball has drifted by nearly half of that (ccd_tr
 """
 
 from taichi_sim.kernels.contacts.triangle_pairs import (
+    BEYOND_ALL,
     FIND_CANDIDATES,
     KEPT_DISTANCE,
     LIMIT_WAYS,
@@ -27,7 +28,6 @@ from taichi_sim.device.engine import ti
 # of the skin, of each ball since a search: two halves of it bring a pair near, the rest is for rounding
 DRIFT_ALLOWED = 0.45
 SHORTEST_HOLD = 1.0  # steps that a search with a skin must hold; where it would not, there is no skin
-BEYOND_ALL = 1e30  # m, beyond all that there is
 
 
 @ti.func

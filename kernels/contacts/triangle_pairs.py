@@ -26,6 +26,8 @@ BORDER, NOT_OWNED = -1, -2  # what lies beyond an edge: no other triangle, or hi
 SHORTEST_LEVER = 0.1  # of a distance: what moves nearer to a pin than that part would be thrown as many times faster
 # squared sine of an angle: directions more alike do not say what is at right angles to both
 SMALLEST_ANGLE = 1e-6
+BEYOND_ALL = 1e30  # m, beyond all that there is
+LEAST_THICKNESS = 1e-30  # m, of a pair that does not push, so that its sign says so
 EDGE_END = 1e-4  # of an edge: nearer to its end, the hit is one of the ball there
 
 
@@ -88,7 +90,7 @@ def ball_near_triangle(
                         whole = r.dot(m) <= 0.0
         if w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0:
             r = across(r, xb - xa, xc - xa, x - xa)
-        take_pair(triangles, solver, ball, p, balls, g, r, BALL_TRIANGLE, whole, place, job)
+        take_pair(triangles, solver, ball, p, balls, g, r, BALL_TRIANGLE, whole, place, False, job)
     return found
 
 
@@ -128,7 +130,7 @@ def near_edges(
         if inside:
             r = across(r, xb - xa, xd - xc, xa - xc)
         kind = EDGE_EDGE + STICK_FIRST * triangles.edge[e].bare + STICK_SECOND * triangles.edge[f].bare
-        take_pair(triangles, solver, ball, p, balls, g, r, kind, inside, place, job)
+        take_pair(triangles, solver, ball, p, balls, g, r, kind, inside, place, True, job)
     return found
 
 
@@ -227,21 +229,23 @@ def near_boxes(low, high, other_low, other_high, reach):
 
 @ti.func
 def take_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, r, kind, whole, place,
-           job: ti.template()):  # fmt: skip
+           of_edges: ti.template(), job: ti.template()):  # fmt: skip
     """List the pair of balls b with weights g at distance r, or let it limit their way. whole: no other pair has this hit.
     kind: see kinds."""
     n, d = unit(r, b[0], ti.select(kind == BALL_TRIANGLE, b[1], b[2]))
     if ti.static(job == LIST_PAIRS):
-        list_pair(triangles, solver, ball, p, b, g, n, d, kind, whole, place)
+        list_pair(triangles, solver, ball, p, b, g, n, d, kind, whole, place, of_edges)
     elif may_meet(triangles, b, kind):
-        hold_apart(triangles, ball, b, n, kind)
+        # a pair that is not listed began further apart than its balls are thick: a part of that is enough
+        hold_apart(triangles, ball, b, n, kind, 0.0)
 
 
 @ti.func
-def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, n, d, kind, whole, place):
+def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template(), p, b, g, n, d, kind, whole, place,
+              of_edges: ti.template()):  # fmt: skip
     """List the pair, with the normal n and distance d, where it may meet within the step."""
-    u, give, above, below = 0.0 * d, 0.0 * d, 1e30 + 0.0 * d, -1e30 + 0.0 * d
-    thick, upper, lower, nearest = 0.0 * d, 0.0 * d, 0.0 * d, triangles.spacing[b[0]]
+    u, give, above, below = 0.0 * d, 0.0 * d, BEYOND_ALL + 0.0 * d, -BEYOND_ALL + 0.0 * d
+    thick, upper, lower = 0.0 * d, 0.0 * d, 0.0 * d
     for k in ti.static(range(4)):
         radius = triangles.model.radius[b[k]]
         speed = n.dot(ball[b[k]].v)
@@ -255,7 +259,6 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         first, second = kind == EDGE_EDGE + STICK_FIRST, kind == EDGE_EDGE + STICK_SECOND
         if not ((first and on_top) or (second and not on_top)):  # sticks have no thickness of their own
             thick += ti.abs(g[k]) * radius
-        nearest = ti.min(nearest, triangles.spacing[b[k]])
     way = LOOK_AHEAD * ti.max(0.0, -u) / solver.rate[0]
     if d < upper + lower + LOOK_AHEAD * ti.max(0.0, below - above) / solver.rate[0]:
         at = COUNT_LIMIT
@@ -264,8 +267,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         if at >= triangles.capacity:
             ti.atomic_max(triangles.overflow[0], at + 1)
         else:
-            if joined(triangles, b, kind):
-                thick = ti.min(thick, nearest)
+            thick = ti.min(thick, most_thickness(triangles, b, kind, of_edges))
             # between pinned points nothing can be pushed, or only by a long lever
             contact = whole and give > 0.0 and d < ti.max(LISTED_DISTANCE * thick, thick + way)
             triangles.contact[at].owner = p
@@ -273,7 +275,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
             triangles.contact[at].kind = kind
             triangles.contact[at].normal = n
             triangles.contact[at].distance = d
-            triangles.contact[at].thickness = ti.select(contact, thick, -1.0)
+            triangles.contact[at].thickness = ti.select(contact, thick, -ti.max(thick, LEAST_THICKNESS))
             for k in ti.static(range(4)):
                 triangles.member[4 * at + k] = b[k]
                 triangles.weight[4 * at + k] = g[k]
@@ -284,6 +286,35 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
 def is_upper(k, kind):
     """True if ball k of a pair is on its upper side."""
     return k == 0 or (k == 1 and kind != BALL_TRIANGLE)
+
+
+@ti.func
+def most_thickness(triangles: ti.template(), b, kind, of_edges: ti.template()):
+    """The largest distance at touch [m] that does not push open what one body is at rest: what is held together by springs or
+    elements may be as near as in its first shape, and nearer where one of them joins the two sides."""
+    most = BEYOND_ALL + 0.0 * triangles.spacing[b[0]]
+    if triangles.held_together[b[0]] == triangles.held_together[b[3]]:
+        most = distance_at_rest(triangles, b, of_edges)
+        if joined(triangles, b, kind):
+            most *= triangles.joined_part
+            for k in ti.static(range(4)):
+                most = ti.min(most, triangles.spacing[b[k]])
+    return most
+
+
+@ti.func
+def distance_at_rest(triangles: ti.template(), b, of_edges: ti.template()):
+    """Distance [m] of the two sides of a pair in the first shape."""
+    x = ti.static(triangles.rest_position)
+    xa, xb, xc, xd = x[b[0]], x[b[1]], x[b[2]], x[b[3]]
+    r = xa
+    if ti.static(of_edges):
+        s, t = between_edges(xa, xb, xc, xd)
+        r += s * (xb - xa) - xc - t * (xd - xc)
+    else:
+        w = on_triangle(xa, xb, xc, xd)
+        r -= w[0] * xb + w[1] * xc + w[2] * xd
+    return r.norm()
 
 
 @ti.func
@@ -300,15 +331,15 @@ def joined(triangles: ti.template(), b, kind):
 
 
 @ti.func
-def planes(triangles: ti.template(), ball: ti.template(), b, n, kind):
+def planes(triangles: ti.template(), ball: ti.template(), b, n, kind, thickness):
     """Two heights along n, from where the first of the balls b began: the upper side may not go below the first, nor the lower
-    one above the second; and the distance kept between. Where no side would, they are out of reach.
+    one above the second; and the distance kept between. Where no side would, they are out of reach. thickness: of the pair [m].
 
     The closest points of two convex things lie on two planes at right angles to their distance, with nothing in between. Planes
     in between stand still for a step: so whatever the others do, neither side gets to the other.
     """
     base = triangles.grid.origin[b[0]]
-    far = 1e30 + 0.0 * base[0]
+    far = BEYOND_ALL + 0.0 * base[0]
     low, top, high, bottom = far, far, -far, -far
     for k in ti.static(range(4)):
         here = n.dot(triangles.grid.origin[b[k]] - base)
@@ -318,8 +349,7 @@ def planes(triangles: ti.template(), ball: ti.template(), b, n, kind):
         else:
             high, bottom = ti.max(high, here), ti.max(bottom, here, there)
     width = ti.max(0.0, low - high)
-    floor = KEPT_DISTANCE * (triangles.model.radius[b[0]] + triangles.model.radius[b[3]])
-    keep = ti.max(KEPT_DISTANCE * width, ti.min(width, floor))
+    keep = ti.max(KEPT_DISTANCE * width, ti.min(width, KEPT_DISTANCE * thickness))
     up, down = -far, far
     if top - bottom < keep and (low > top or bottom > high):
         part = (bottom - high) / (low - top + bottom - high)  # the way of the lower side, of both
@@ -329,10 +359,10 @@ def planes(triangles: ti.template(), ball: ti.template(), b, n, kind):
 
 
 @ti.func
-def hold_apart(triangles: ti.template(), ball: ti.template(), b, n, kind):
-    """Cut short the way of each of the balls b that crosses its plane."""
+def hold_apart(triangles: ti.template(), ball: ti.template(), b, n, kind, thickness):
+    """Cut short the way of each of the balls b that crosses its plane. thickness: of the pair [m]."""
     base = triangles.grid.origin[b[0]]
-    up, down, _ = planes(triangles, ball, b, n, kind)
+    up, down, _ = planes(triangles, ball, b, n, kind, thickness)
     if up > down:
         for k in ti.static(range(4)):
             here = n.dot(triangles.grid.origin[b[k]] - base)

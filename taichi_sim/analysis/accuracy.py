@@ -8,7 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis import coarse_meshes, contact_loads, late_impacts, rebounds, shared_loads, sieves, turning
+from taichi_sim.analysis import (
+    coarse_meshes,
+    contact_loads,
+    late_impacts,
+    near_at_rest,
+    rebounds,
+    shared_loads,
+    sieves,
+    turning,
+)
 from taichi_sim.analysis.diagnostics import inverted
 from taichi_sim.analysis.methods import VERLET, Method
 from taichi_sim.analysis.stability import stability
@@ -89,6 +98,8 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
             )
         for what, cure in sieves.findings(scene):
             yield Finding("cloth", what, cure)
+        for what, cure in near_at_rest.findings(scene):
+            yield Finding("parts", what, cure)
     yield from _cells(scene)
     for what, cure in (
         *coarse_meshes.bent_findings(scene),

@@ -53,7 +53,8 @@ class Scales(NamedTuple):
     takes energy itself. gains: why the method may give energy, in words; cure: of that. held [J]: the largest kinetic
     and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
     above the start; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy. touches:
-    there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the start."""
+    there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the start. rounding [J]: by which
+    sums of energy may be off."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -71,6 +72,7 @@ class Scales(NamedTuple):
     held: float = 0.0
     risen: float = 0.0
     gained: float = 0.0
+    rounding: float = 0.0
 
 
 def untouched(names: Sequence[str]) -> tuple[str, ...]:
@@ -163,8 +165,10 @@ def gained_in_step(part: float) -> str:
 
 def of_energy(start: float, end: float, scales: Scales) -> str:
     """Verdict on the total energy [J]: none where something works on the scene, or nothing moved."""
-    if scales.motion <= 0.0:
+    if scales.motion <= scales.rounding:
         return ""
+    if abs(end - start) <= scales.rounding:
+        end = start
     part = (end - start) / scales.motion
     if scales.drivers:
         return f"{_listed(scales.drivers)} {DRIVEN}" if abs(part) > KEPT else ""

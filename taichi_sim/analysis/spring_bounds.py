@@ -47,9 +47,11 @@ def over(a: float, b: float) -> float:
 
 
 def largest_eigenvalue(scene: Scene, weight: Floats) -> tuple[float, int]:
-    """Bound on lambda_max(M^-1 A) for A assembled from spring weights (m,), in every shape; and the spring that sets it.
+    """Bound on lambda_max(M^-1 A) for A assembled from spring weights (m,), in every shape; and the spring that
+    gives most to it.
 
-    lambda <= max over springs of S_i / m_i + S_j / m_j with S_i the sum of weights at ball i; pinned ends give 0.
+    lambda <= max over springs of S_i / m_i + S_j / m_j with S_i the sum of weights at ball i; pinned ends give 0. The spring
+    with the largest sum may itself be weak, where others hold its balls: the strongest one of its busier ball is named.
     """
     if not len(weight):
         return 0.0, 0
@@ -57,7 +59,8 @@ def largest_eigenvalue(scene: Scene, weight: Floats) -> tuple[float, int]:
     rate = np.where(scene.pinned, 0.0, sums / scene.mass)
     bound = rate[scene.pairs].sum(axis=1) * (weight > 0)
     worst = int(np.argmax(bound))
-    return float(bound[worst]), worst
+    ball = scene.pairs[worst, np.argmax(rate[scene.pairs[worst]])]
+    return float(bound[worst]), int(np.argmax(weight * np.any(scene.pairs == ball, axis=1)))
 
 
 def present_eigenvalue(scene: Scene, stiffness: Floats, damping: Floats, position: Floats) -> tuple[float, int]:

@@ -22,7 +22,7 @@ __all__ = ["TriangleContacts"]
 
 MINIMUM_CAPACITY, CONTACTS_PER_BALL = 1 << 14, 16
 LARGEST_CAPACITY = 1 << 28  # contacts; each has four entries
-# of the smallest height of a ball's triangles: what springs join keeps that distance, where it is thicker
+# of the smallest height of a ball's triangles, and of the distance at rest: what springs join keeps that, where it is thicker
 SPACING = 0.5
 LEAVES_PER_NODE = 8
 SURFACE_SKIN = 0.5  # of the smallest radius of a surface, see kernels.contacts.ccd_triangles.begin
@@ -66,6 +66,12 @@ class TriangleContacts(WeightedContacts):
         columns = {"one": edges[:, 0], "two": edges[:, 1], "bare": bare}
         self.edge = fields.table(dict.fromkeys(columns, ti.i32), len(edges), columns)
         self.spacing = fields.reals(spacing(scene))  # m, distance that springs keep
+        self.joined_part = SPACING
+        self.rest_position = fields.reals(scene.position)  # (n, 3) m
+        start, other = model.joined()
+        joins = np.stack([np.repeat(np.arange(n), np.diff(start)), other], axis=1)
+        # (n,) the same number for balls that springs, elements or triangles hold together
+        self.held_together = fields.integers(components(n, np.concatenate([joins, edges])))
         self.may_spin = fields.integers(
             1 - np.isin(np.arange(n), triangles)
         )  # balls of a surface, being points of it, do not
@@ -98,7 +104,7 @@ class TriangleContacts(WeightedContacts):
         # owner: the ball whose leaf found it; place: among its own; first: a ball or an edge; second: a triangle, or -1 - edge
         columns = dict.fromkeys(("owner", "place", "first", "second"), ti.i32)
         self.candidate = fields.table(columns, self.candidate_capacity)
-        # distance [m]; thickness: distance at touch [m], negative: may not be gone through, but does not push; target [m/s];
+        # distance [m]; thickness: distance at touch [m], with a minus: may not be gone through, but does not push; target [m/s];
         # impulse [N s]; planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
         lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}

@@ -22,7 +22,7 @@ def crossings(position: NDArray, triangles: NDArray) -> NDArray[np.int64]:
         return np.zeros((0, 2), dtype=np.int64)
     edges = unique_edges(t)
     found = [np.zeros((0, 2), dtype=np.int64)]
-    for e, f in _near(x[edges], x[t]):
+    for e, f in near(x[edges], x[t]):
         apart = np.all(edges[e][:, :, None] != t[f][:, None, :], axis=(1, 2))
         e, f = e[apart], f[apart]
         hit = _pierces(x[edges[e, 0]], x[edges[e, 1]], x[t[f, 0]], x[t[f, 1]], x[t[f, 2]])
@@ -42,8 +42,8 @@ def _pierces(p: NDArray, q: NDArray, a: NDArray, b: NDArray, c: NDArray) -> NDAr
     return sides & (((one > 0) & (two > 0) & (three > 0)) | ((one < 0) & (two < 0) & (three < 0)))
 
 
-def _near(segments: NDArray, triangles: NDArray) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
-    """Pairs of a segment (e, 2, 3) and a triangle (t, 3, 3) whose boxes overlap, by chunks of segments.
+def near(segments: NDArray, triangles: NDArray) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Pairs of a segment (e, 2, 3) and a triangle (t, 3, 3), or another one, whose boxes overlap, by chunks of segments.
 
     Triangles of about one size are searched together: a few large ones would widen the search among all the small ones. Those
     below the median are one group: an edge reaches about as far.

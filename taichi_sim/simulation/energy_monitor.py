@@ -133,6 +133,11 @@ class EnergyMonitor:
         gain = after.total - before.total - self.lift - self._rounding(before) - self._rounding(after)
         return gain / kinetic if gain > STEP_GROWTH * kinetic else 0.0
 
+    @property
+    def rounding(self) -> float:
+        """Joule by which the sums of the last sample may be off."""
+        return 0.0 if self.last is None else self._rounding(self.last)
+
     def _rounding(self, sample: Any) -> float:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
         return (

@@ -101,6 +101,7 @@ class RunChecks:
             held=run.monitor.held,
             risen=run.monitor.risen,
             gained=run.gained,
+            rounding=run.monitor.rounding,
             touches=touches,
         )
 

@@ -449,6 +449,8 @@ def test_verdicts_go_with_the_scene():
     assert of_energy(0.0, -0.01, scales).endswith("good")
     assert "look at it" in of_energy(0.0, -0.3, scales)
     assert "nothing in the scene explains it" in of_energy(0.0, 1.0, scales)
+    assert of_energy(0.0, 1.0, scales._replace(rounding=2.0)).endswith("good")
+    assert of_energy(0.0, 1e-12, scales._replace(motion=1e-12, rounding=1e-11)) == ""
     twice = of_energy(0.0, 1.0, scales._replace(gains=XPBD.why_energy_grows()))
     assert twice.endswith("xpbd goes through the springs twice in a step and leaves them stretched: take shorter steps")
     assert "nothing in the scene takes energy" in of_energy(0.0, -0.3, scales._replace(touches=False))

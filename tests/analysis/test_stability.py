@@ -146,6 +146,16 @@ def test_check_names_what_limits_and_what_to_do():
         assert "gains energy on an undamped spring" in "\n".join(check.lines(sim))
 
 
+def test_the_strongest_spring_of_the_busiest_ball_limits_and_not_a_weak_one_beside_it():
+    """A weak spring joins the two balls that hold most."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [1, 0], [0, 1], [1, 1], [0, 2], [1, 2]], radius=0.1)
+    scene.add_springs([[0, 1], [0, 2], [1, 3], [0, 4], [1, 5]], stiffness=[1e-3, 40.0, 50.0, 45.0, 30.0])
+    value, spring = largest_eigenvalue(scene, scene.stiffness)
+    assert spring == 3  # of ball 0
+    assert value == pytest.approx(85.001 / scene.mass[0] + 80.001 / scene.mass[1])
+
+
 @pytest.mark.once
 def test_check_names_the_method_that_auto_would_take():
     scene = ts.Scene(dim=3, gravity=(0, -9.0, 0))

@@ -36,7 +36,7 @@ def soup():
 
 
 def listed_pairs(sim):
-    """The listed pairs as (balls, weights, normal, distance, thickness or -1)."""
+    """The listed pairs as (balls, weights, normal, distance, thickness with a minus where it does not push)."""
     triangles = sim.parts.contacts.triangles
     used, table = int(triangles.used[0]), triangles.contact
     member, weight = (f.to_numpy()[: 4 * used].reshape(-1, 4) for f in (triangles.member, triangles.weight))

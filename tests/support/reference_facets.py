@@ -66,7 +66,7 @@ def between_edges(a, b, c, d):
 
 def pairs(x, v, radius, triangles, joined, h, start):
     """All pairs of a ball and a triangle, and of two edges, that share no ball and are listed. joined: pairs (i, j) of balls that
-    a spring joins. start: positions (n, 3) [m] from which the distances of what is joined are taken."""
+    a spring joins. start: positions (n, 3) [m] from which the distances of what is held together are taken."""
     edges = sorted({tuple(sorted((int(t[i]), int(t[j])))) for t in triangles for i, j in ((0, 1), (1, 2), (2, 0))})
     joined = {tuple(sorted(map(int, p))) for p in joined}
     spacing = np.full(len(x), np.inf)
@@ -75,6 +75,10 @@ def pairs(x, v, radius, triangles, joined, h, start):
         longest = max(np.linalg.norm(p - q) for p, q in ((a, b), (b, c), (c, a)))
         height = np.linalg.norm(np.cross(b - a, c - a)) / longest
         spacing[t] = np.minimum(spacing[t], SPACING * height)
+    body = np.arange(len(x))  # the lowest ball that springs and triangles hold each one to
+    for _ in range(len(x)):
+        for one in (*joined, *map(list, triangles)):
+            body[list(one)] = body[list(one)].min()
     found = []
 
     def note(edge, upper, lower, g, whole):
@@ -87,8 +91,14 @@ def pairs(x, v, radius, triangles, joined, h, start):
         closing = float((v[list(lower)] @ r).max() - (v[list(upper)] @ r).min()) / d
         reach = radius[list(upper)].max() + radius[list(lower)].max() + LOOK * h * max(0.0, closing)
         if d < reach:
-            if any(tuple(sorted((i, j))) in joined for i in upper for j in lower):
-                thickness = min(thickness, spacing[list(balls)].min())
+            if body[upper[0]] == body[lower[0]]:
+                corners = start[list(balls)]
+                s = between_edges(*corners) if edge else on_triangle(corners[0], corners[1:])
+                rest = np.array([1 - s[0], s[0], s[1] - 1, -s[1]]) if edge else np.array([1.0, *-s])
+                apart = float(np.linalg.norm(rest @ corners))
+                if any(tuple(sorted((i, j))) in joined for i in upper for j in lower):
+                    apart = min(SPACING * apart, spacing[list(balls)].min())
+                thickness = min(thickness, apart)
             touch = max(LISTED * thickness, thickness + way)
             margin = min(reach - d, abs(d - touch), 1e-3 * np.abs(np.abs(g[g != 0]) - (INSIDE if edge else 0)).min())
             found.append(Pair(edge, tuple(map(int, balls)), g, r / d, d, thickness, bool(whole and d < touch), margin))
