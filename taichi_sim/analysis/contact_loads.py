@@ -4,6 +4,7 @@ Xpbd solves springs as if there were no contact. Implicit Euler and TR-BDF2 solv
 there were none of balls with balls: what rests on walls and colliders they hold. So what rests moves into the contact, which
 stops it afterwards. At rest a layer of the mass m that bears the weight W ends each solve with the speed u = h W / m. Elements of
 the stiffness k and the damping c that join it to the rest answer with (h k + c) u: too much by (h^2 k + h c) / m of the weight.
+So does the highest layer of a body that bears another one: it ends each solve with a speed upwards, which the contact stops.
 Of TR-BDF2, which has two stages, the steady state of a column shows 0.41 of the first part and 0.85 of the second. Verlet solves
 damping likewise where that takes several stages in half a step, and columns show 0.4 of the second part.
 """
@@ -35,27 +36,34 @@ Floats = NDArray[np.float64]
 
 class Excess(NamedTuple):
     """Excess of load on the elements at the lowest layer of a body, as a part of the weight that the layer bears: `elastic`
-    [1/s^2], times h^2, and `damping` [1/s], times h. ball: one of the layer. on_balls: it rests on other balls."""
+    [1/s^2], times h^2, and `damping` [1/s], times h. ball: one of the layer. on_balls: it rests on other balls. below: that at
+    the highest layer of a body below, as a part of the weight that it bears there; None where nothing below has elements."""
 
     ball: int
     elastic: float
     damping: float
     on_balls: bool = False
+    below: "Excess | None" = None
 
     def share(self, method: Method, h: float) -> float:
         """Part of the weight that is borne too much with steps of h seconds."""
         elastic, damping = PARTS.get(method.name, (1.0, 1.0))
         return elastic * h * h * self.elastic + damping * h * self.damping
 
+    def most(self, method: Method, h: float) -> float:
+        """The larger share, of this body and of that below."""
+        return max(self.share(method, h), self.below.share(method, h) if self.below is not None else 0.0)
+
     def shows(self, method: Method, h: float) -> bool:
         """True if the excess is worth a word."""
-        return self.share(method, h) > SHOWS
+        return self.most(method, h) > SHOWS
 
     def step(self, method: Method) -> float:
         """The longest step [s] in which it is not."""
         elastic, damping = PARTS.get(method.name, (1.0, 1.0))
         a, b = elastic * self.elastic, damping * self.damping
-        return 2.0 * SHOWS / (b + float(np.sqrt(b * b + 4.0 * a * SHOWS)))
+        own = 2.0 * SHOWS / (b + float(np.sqrt(b * b + 4.0 * a * SHOWS)))
+        return min(own, self.below.step(method)) if self.below is not None else own
 
 
 def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
@@ -82,23 +90,47 @@ def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
     if not edges:
         return None
     body = components(scene.n_balls, np.concatenate(edges))
-    layer = _lowest(scene, body, up)
-    mass = np.bincount(body[layer], scene.mass[layer], scene.n_balls)
     held = np.bincount(body[scene.pinned], minlength=scene.n_balls) > 0
-    rest = (mass > 0.0) & ~held & (np.bincount(body, minlength=scene.n_balls) > 1)
-    if not rest.any():
-        return None
-    rates = [
-        np.where(rest, _of_layers(kinds, body, layer, up), 0.0) / np.maximum(mass, 1e-300)
-        for kinds in (elastic, damping)
-    ]
-    found = [Excess(int(b), float(rates[0][b]), float(rates[1][b])) for b in np.flatnonzero(rest)]
-    found = sorted((one for one in found if one.share(method, h) > 0.0), key=lambda one: -one.share(method, h))
+    found = _of_bodies(scene, body, (elastic, damping), up, held, method, h)
     if springs_alone:
         return found[0] if found else None
     extents = _Extents(scene, body, up)
-    on_others = (one for one in found if extents.may_rest_on_others(body[one.ball]))
-    return next((one._replace(on_balls=True) for one in on_others), None)
+    for excess in found:
+        under = extents.under(body[excess.ball])
+        if under.any():
+            reached = np.zeros(scene.n_balls, dtype=bool)
+            reached[: len(under)] = under
+            borne = _of_bodies(scene, body, (elastic, damping), -up, ~reached, method, h)
+            return excess._replace(on_balls=True, below=borne[0] if borne else None)
+    return None
+
+
+def _of_bodies(
+    scene: Scene,
+    body: NDArray[np.int64],
+    rates: tuple[list[Quadratic], list[Quadratic]],
+    up: Floats,
+    out: NDArray[np.bool_],
+    method: Method,
+    h: float,
+) -> list[Excess]:
+    """Excesses at the layers of bodies that lie lowest by `up`, the largest first. rates: elements by stiffness and by damping.
+    out: mask (n,) of bodies that do not count; those whose layer has a pinned ball do not either."""
+    layer = _lowest(scene, body, up)
+    mass = np.bincount(body[layer], scene.mass[layer], scene.n_balls)
+    stands = np.bincount(body[layer & scene.pinned], minlength=scene.n_balls) > 0
+    moves = (mass > 0.0) & ~out & ~stands & (np.bincount(body, minlength=scene.n_balls) > 1)
+    if not moves.any():
+        return []
+    elastic, damping = (
+        np.where(moves, _of_layers(kinds, body, layer, up), 0.0) / np.maximum(mass, 1e-300) for kinds in rates
+    )
+    number = np.flatnonzero(moves)
+    ball = np.zeros(scene.n_balls, dtype=np.int64)
+    chosen = np.flatnonzero(layer)[::-1]
+    ball[body[chosen]] = chosen
+    found = [Excess(int(ball[b]), float(elastic[b]), float(damping[b])) for b in number]
+    return sorted((one for one in found if one.share(method, h) > 0.0), key=lambda one: -one.share(method, h))
 
 
 def _springs(scene: Scene, strength: Floats) -> list[Quadratic]:
@@ -151,10 +183,10 @@ class _Extents:
         np.minimum.at(self.low, body, level - radius[:, None])
         np.maximum.at(self.high, body, level + radius[:, None])
 
-    def may_rest_on_others(self, b: int) -> bool:
-        """True if another body reaches below body b, and is not beside it."""
+    def under(self, b: int) -> NDArray[np.bool_]:
+        """Mask of the bodies that reach below body b, and are not beside it."""
         over = np.all((self.low < self.high[b]) & (self.high > self.low[b]), axis=1)
-        return bool(np.any(over & (self.bottom < self.bottom[b] - self.slack[b])))
+        return np.asarray(over & (self.bottom < self.bottom[b] - self.slack[b]), dtype=np.bool_)
 
 
 def _of_layers(kinds: list[Quadratic], body: NDArray[np.int64], layer: NDArray[np.bool_], up: Floats) -> Floats:
@@ -173,9 +205,13 @@ def sentence(excess: Excess, method: Method, h: float) -> str:
     """The excess in words."""
     solved = "strong damping" if method is VERLET else "springs and elements"
     which, ground = (" of balls", "other balls") if excess.on_balls else ("", "its lowest balls")
+    borne = ""
+    if excess.below is not None:
+        share = excess.below.share(method, h)
+        borne = f", and what is next to the highest balls of the body of ball {excess.below.ball} {share:.2g} of what it bears"
     return (
         f"{method} solves {solved} before contacts{which}: where the body of ball {excess.ball} rests on {ground}, what is next"
-        f" to its lowest balls bears {excess.share(method, h):.2g} of its weight too much"
+        f" to its lowest balls bears {excess.share(method, h):.2g} of its weight too much{borne}"
     )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from taichi_sim.analysis import rebounds, sieves, strikes, turning
+from taichi_sim.analysis import contact_loads, rebounds, sieves, strikes, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, single_precision
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.stability import (
@@ -25,6 +25,7 @@ __all__ = ["cautions"]
 
 FASTEST = 4.0  # radii that a pin may move in a substep
 MOST_TURNED = 0.5  # of its angular momentum, that a method may take from a body in a second
+MOST_BORNE = 0.5  # of the weight, that elements may bear too much where bodies rest on each other
 MOST_RETURNED = 0.225  # of the speed of an impact without restitution: by sweeps, of masses 1:27
 RESOLVED = 0.5  # of the time in which a spring answers a pull: in longer steps others tear, or none
 MOST_FLEXED = 0.1  # of a rest length, that a motor may change it by
@@ -54,6 +55,7 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     yield from _of_tearing(scene, method, h)
     if setup.rule != "off":
         yield from _of_impacts(scene, method, h)
+        yield from _of_loads(scene, method, h)
     if (turn := turning.at_start(scene, method, h)) is not None:
         if turn.rate(method, h) > MOST_TURNED:
             yield f"rotation: {turning.sentence(turn, method, h)}; {turning.cure(turn, method, h)}"
@@ -109,6 +111,13 @@ def _of_impacts(scene: Scene, method: Method, h: float) -> Iterator[str]:
             f"bounce: bodies of springs or elements {what}, because steps of {h:.3g} s by {method} do not resolve how fast"
             f" their balls swing; take steps of {at_most(min(bounced, resolved))} s"
         )
+
+
+def _of_loads(scene: Scene, method: Method, h: float) -> Iterator[str]:
+    """One sentence on bodies that rest on others and are squeezed too much."""
+    excess = contact_loads.at_contacts(scene, method, h)
+    if excess is not None and excess.on_balls and excess.most(method, h) > MOST_BORNE:
+        yield f"load: {contact_loads.sentence(excess, method, h)}; {contact_loads.cure(excess, method, h)}"
 
 
 def _time_of_what_tears(scene: Scene) -> float:

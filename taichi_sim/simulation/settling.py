@@ -3,19 +3,25 @@
 The scene moves freely from rest until its kinetic energy has passed a peak. There the potential energy is near a least value, so
 the velocities are set to 0 and it begins again, until what is left of the forces is small (Day, 1965; Barnes, 1988). No damping
 is added, so the state of rest is that of the scene itself.
+
+Single precision rounds places, and stiff springs make forces of that, which may be many times the weight. They push balls back
+and forth within what it rounds, and their kinetic energy has peaks of its own. Where stops lower the net force no further, the
+scene goes on by implicit steps so long that springs answer to such a push within one step.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.contact_loads import at_contacts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.common.quantities import measured, percent
 from taichi_sim.common.warn import warn
 from taichi_sim.files.checkpoint import parts_of, scene_of
 from taichi_sim.scene.scene import Scene
+from taichi_sim.scene.snapshot import Snapshot
 
 __all__ = ["Settled", "settle", "still"]
 
@@ -23,12 +29,14 @@ LOOKS = 16  # at the kinetic energy, on the way to a peak
 MOST_STOPS = 2000
 PATIENCE = 60  # stops, after which a residual that has not fallen by BETTER is that of rounding
 BETTER = 0.9
+LONGEST_STEP = 1.0 / 30.0  # s, of implicit steps
 
 
 class Settled(NamedTuple):
-    """Result of settling. residual [N]: the largest net force that is left on a ball that is not pinned; load [N]: what it is
-    compared with, the mean weight of these balls, or, without gravity, the largest net force at the start; time [s]: simulated
-    on the way; stops: how often velocities were set to 0; reached: whether the residual is within the tolerance."""
+    """Result of settling. residual [N]: the largest net force that is left on a ball that is not pinned, where steps were
+    implicit without what springs take back within a step; load [N]: what it is compared with, the mean weight of these balls, or,
+    without gravity, the largest net force at the start; time [s]: simulated on the way; stops: how often velocities were set to
+    0; reached: whether the residual is within the tolerance."""
 
     residual: float
     load: float
@@ -75,15 +83,66 @@ def still(scene: Scene) -> Scene:
     return made
 
 
-def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[np.float64], Settled]:
-    """Bring a simulation, in which nothing is driven, to rest; positions (n, dim) [m] and how well they balance. longest:
-    simulated seconds, after which it is given up, with a warning."""
+def settle(
+    simulate: Callable[..., Any], position: NDArray[np.float64], tolerance: float, longest: float
+) -> tuple[NDArray[np.float64], Settled]:
+    """Bring a scene, in which nothing is driven, to rest from positions (n, dim) [m]; where it rests and how well it balances.
+    simulate: makes its simulation from settings. longest: simulated seconds, after which it is given up, with a warning."""
+    # a step of this method from rest gives each ball the force at the start times h / m, exactly, at any stiffness
+    with simulate(integrator="symplectic_euler", dt="auto") as simulation:
+        simulation.resume(Snapshot(position, np.zeros_like(position)))
+        position, found, stuck = _damp(simulation, tolerance, longest, 0.0)
+        # stops that lower the residual no more, long before the time is up, end at what rounding leaves
+        rounded = simulation.backend.precision == "f32" and stuck
+        h = _rounding_step(simulation.scene, position, tolerance * found.load)
+    if rounded and not found.reached and h <= LONGEST_STEP:
+        position, found = _onwards(simulate, h, position, found, tolerance, longest)
+    if not found.reached:
+        cure = '; single precision may be what stands in the way: try precision = "f64"' if rounded else ""
+        warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}")
+    return position, found
+
+
+def _rounding_step(scene: Scene, position: NDArray[np.float64], allowed: float) -> float:
+    """The step [s] in which the net force `allowed` [N] moves a ball of the mean mass by as much as single precision rounds
+    places by, twice over. What rounding stretches springs by pushes balls back and forth within it, and averages out."""
+    free = ~scene.pinned
+    if not free.any() or allowed == 0.0:
+        return 0.0
+    rounding = float(np.abs(position).max()) * float(np.finfo(np.float32).eps)
+    return 2.0 * float(np.sqrt(rounding * scene.mass[free].mean() / allowed))
+
+
+def _onwards(
+    simulate: Callable[..., Any],
+    h: float,
+    position: NDArray[np.float64],
+    found: Settled,
+    tolerance: float,
+    longest: float,
+) -> tuple[NDArray[np.float64], Settled]:
+    """Go on by implicit steps of h seconds, whose forces answer within the step, where these are stable and show no excess at
+    contacts; else what was found before."""
+    with simulate(integrator="implicit_euler", dt="auto") as simulation:
+        method, safe = simulation.settings.integrator.method, simulation.stability().dt_any_shape
+        excess = at_contacts(simulation.scene, method, h)
+        if simulation.undeclared_forces or h > safe or (excess is not None and excess.shows(method, h)):
+            return position, found
+        simulation.set_dt(h)
+        simulation.resume(Snapshot(position, np.zeros_like(position)))
+        position, last, _ = _damp(simulation, tolerance, longest - found.time, found.load)
+    return position, last._replace(time=found.time + last.time, stops=found.stops + last.stops)
+
+
+def _damp(simulation: Any, tolerance: float, longest: float, load: float) -> tuple[NDArray[np.float64], Settled, bool]:
+    """Kinetic damping of a simulation: positions (n, dim) [m], how well they balance, and whether stops lowered the residual no
+    further, before the time was up. load [N]: what it is compared with; 0: see Settled."""
     scene, dt = simulation.scene, simulation.dt
     free, mass = ~scene.pinned, scene.mass[:, None]
     if not free.any():
-        return simulation.position, Settled(0.0, 0.0, 0.0, 0, True)
+        return simulation.position, Settled(0.0, 0.0, 0.0, 0, True), False
     zero = np.zeros((scene.n_balls, scene.dim))
-    load = float(np.linalg.norm(scene.gravity) * scene.mass[free].mean())
+    load = load or float(np.linalg.norm(scene.gravity) * scene.mass[free].mean())
     spent, least, since, chunk = 0.0, np.inf, 0, 1
     for stops in range(1, MOST_STOPS + 1):
         at_rest = simulation.position
@@ -103,12 +162,7 @@ def settle(simulation: Any, tolerance: float, longest: float) -> tuple[NDArray[n
         steps = 1 + _to_the_peak(simulation, mass, free, chunk, round((longest - spent) / dt) + 1, back)
         spent += (steps - 1) * dt
         chunk = max(1, steps // LOOKS)
-    if not found.reached:
-        # stops that lower the residual no more, long before the time is up, end at what rounding leaves
-        rounded = simulation.parts.backend.precision == "f32" and since > PATIENCE
-        cure = '; single precision may be what stands in the way: try precision = "f64"' if rounded else ""
-        warn(f"settle: {found}; allowed is {percent(tolerance)}{cure}")
-    return at_rest, found
+    return at_rest, found, not found.reached and spent <= longest
 
 
 def _to_the_peak(

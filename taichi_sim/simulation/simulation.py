@@ -247,11 +247,12 @@ class Simulation(Reader):
             raise SceneError(
                 "settle", says="needs the clock at 0 where something is driven; call it before the first step"
             )
-        # a step of this method from rest gives each ball the force at the start times h / m, exactly, at any stiffness
-        given = {**self._given, "settle": None, "integrator": "symplectic_euler", "tolerance": None}
-        with type(self)(held, forces=self._forces, **{**given, "dt": "auto", "substeps": 1}) as other:
-            other.resume(Snapshot(self.position, np.zeros_like(self.position)))
-            position, found = settle(other, tolerance, longest)
+        given = {**self._given, "settle": None, "tolerance": None, "substeps": 1}
+
+        def simulate(**chosen: Any) -> Simulation:
+            return type(self)(held, forces=self._forces, **{**given, **chosen})
+
+        position, found = settle(simulate, self.position, tolerance, longest)
         if not self._still:
             self._state.write_spin(np.zeros_like(self._state.surface_speed))
             if self.parts.received is not None:

@@ -148,6 +148,28 @@ def test_springs_on_a_floor_bear_the_weight_above_them(method, h, within):
         assert load_of_lowest_spring(scene, sim) == pytest.approx(G * (n - 1), rel=within)
 
 
+def test_bodies_under_others_bear_as_much_too_much_as_said():
+    """Two columns, one on the other: the springs on both sides of their contact, and a warning before a run."""
+    n, stiffness, damping, h = 4, 6e4, 30.0, 1 / 300
+    scene = ts.Scene(dim=2, gravity=(0.0, -G))
+    balls = scene.add_balls([[0.0, 0.02 + 0.1 * i - 0.06 * (i >= n)] for i in range(2 * n)], radius=0.02, mass=1.0)
+    pairs = np.array([[i, i + 1] for i in range(2 * n - 1) if i != n - 1])
+    above = 2 * n - pairs[:, 1]
+    scene.add_springs(balls[pairs], stiffness=stiffness, damping=damping, rest_length=0.1 + G * above / stiffness)
+    scene.add_wall((0.0, 1.0))
+    with pytest.warns(
+        UserWarning, match="^load: .* its lowest balls bears .* next to the highest balls of the body of ball 3 "
+    ):
+        sim = ts.Simulation(scene, arch="cpu", precision=PRECISION, integrator="implicit_euler", dt=h, substeps=1)
+    with sim:
+        told = said(sim, "load at contacts").what
+        sim.run(4.0)
+        y = sim.position[:, 1]
+        excess = stiffness * (scene.rest_length - np.diff(y)[pairs[:, 0]]) - G * above
+    assert figure(told, "of its weight too much") == pytest.approx(excess[n - 1] / (G * n), rel=0.1)
+    assert figure(told, "of what it bears") == pytest.approx(excess[n - 2] / (G * n), rel=0.1)
+
+
 def test_bodies_that_rest_on_nothing_bear_nothing_too_much():
     scene = column_at_rest(5, 1e5, 20.0)
     told = contact_loads.at_contacts(scene, XPBD, 4e-3)

@@ -10,6 +10,8 @@ from taichi_sim.outputs import export
 from taichi_sim.reports.speed_error.command import read, settled_scene
 from taichi_sim.reports.speed_error.resolution import finer
 from taichi_sim.simulation.settling import Settled, require_tolerance, still
+from tests.published.test_cantilever import G as EARTH
+from tests.published.test_cantilever import reference
 
 PIECES, SPAN, MASS, G = 12, 3.0, 0.4, 9.0
 TOLERANCE = 1e-4 if PRECISION == "f64" else 2e-2
@@ -149,6 +151,23 @@ def test_what_rounding_keeps_from_rest_names_double_precision():
         pytest.warns(UserWarning, match=r'allowed is 1.0e-06 %; single precision .*: try precision = "f64"$'),
     ):
         assert not sim.settle(1e-8).reached
+
+
+@pytest.mark.skipif(PRECISION == "f64", reason="of single precision")
+@pytest.mark.filterwarnings("ignore:precision")
+def test_a_stiff_rod_bends_as_far_as_its_weight_bends_it():
+    """In single precision places next to each other differ by more than its weight stretches it by, 19 times over."""
+    n, length, young, radius, density = 20, 0.8, 7e9, 5e-4, 2000.0
+    scene = ts.Scene(dim=3, gravity=(0, -EARTH, 0))
+    area, piece = np.pi * radius**2, length / (n - 1)
+    rod = {"young_modulus": young, "radius": radius, "mass_per_length": density * area, "pinned": [0, 1]}
+    ts.shapes.rope(scene, start=(0, 0, 0), end=(0, 0, length), n=n, **rod)
+    with ts.Simulation(scene) as sim:
+        found = sim.settle(2e-3)
+        tip = sim.position[-1] - sim.position[1]
+    assert found.reached
+    load = density * area * EARTH * (length - piece) ** 3 / (young * np.pi * radius**4 / 4)
+    assert -tip[1] / tip[2] == pytest.approx(reference(load), rel=0.01)
 
 
 @pytest.mark.once
