@@ -78,10 +78,14 @@ class Reference:
         """Bound of how far that goes beyond the largest value at the moments compared: what steps between them showed, or, where
         none were read, a guess from the moments."""
         seen = self.displacement[: self.parts]
-        peak = float(np.max(self.peak[: self.parts], initial=-np.inf))
-        if np.isfinite(peak):
-            return max(0.0, peak - self.motion)
+        if self.reads_peak:
+            return max(0.0, float(np.max(self.peak[: self.parts])) - self.motion)
         return beyond(seen, int(np.argmax(seen))) if len(seen) else 0.0
+
+    @property
+    def reads_peak(self) -> bool:
+        """True if steps between the moments compared were read."""
+        return len(self.peak) > 0 and bool(np.isfinite(self.peak[: self.parts]).all())
 
     @property
     def growth(self) -> float:
