@@ -43,6 +43,15 @@ class Readings:
             found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
         return found
 
+    def at_moment(self, sample: ProbeSample) -> dict[str, float]:
+        """The same between two readings, which it leaves as they are: means are nan."""
+        found = {}
+        for probe in self.probes:
+            values = probe.read(sample)
+            numbers = probe.numbers(sample.scene.dim)
+            found.update({f"{probe.name}.{number}": values.get(number, float("nan")) for number in numbers})
+        return found
+
     def memory(self) -> list[Any]:
         """The totals that means are taken between, as plain values for `recall`."""
         return [
@@ -89,6 +98,10 @@ class Reader:
         """Every number of every probe of the scene by its name, `load.tension`, in SI units; see `Scene.add_probe`. Forces on
         walls and rates are means since they were last read at an earlier time: nan where that is now."""
         return self.readings.read(self.time, self._sample()) if self.scene.probes else {}
+
+    def probes_at_moment(self: Any) -> dict[str, float]:
+        """The same but for means, which are nan: those of later readings do not begin here."""
+        return self.readings.at_moment(self._sample())
 
     def probe(self: Any, name: str) -> Any:
         """One number, `load.tension`, or `load` where it has no other: a float; a vector, `tip`: (dim,). Reads them all. Raises

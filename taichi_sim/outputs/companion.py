@@ -2,7 +2,7 @@
 order 1, and where contacts or tearing happen within steps, a third one at a quarter."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan, sqrt
@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.between_samples import beyond
+from taichi_sim.analysis.between_samples import beyond, steps_between
 from taichi_sim.analysis.frame import Frame
+from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
@@ -23,11 +24,12 @@ __all__ = ["Companion", "StepError", "settle_further"]
 
 ROUNDING = {"f32": 2.0**-24, "f64": 2.0**-53}  # of a number of its size
 CERTAIN = 8.0  # times the rounding of a number: differences above that are not of rounding alone
-NAMED = 2  # quantities with extremes between frames
+NOTED = 0.01  # of a quantity's range: extremes further between readings are worth a line
+NAMED = 2  # quantities with extremes between readings
 LOSES = 0.04  # of its amplitude in a step: motion that is gone before its peak
 RESOLVED = 0.3  # omega h, up to which methods of first order keep more than that
 SLOW = ("position",)  # kinds of probes that fast motion along springs hardly moves
-LAST = 8  # part of the frames by which the error of the last is judged
+LAST = 8  # part of the readings by which the error of the last is judged
 CLOSER = 0.1  # of the net force that settling left: what the second run is settled to
 AT_REST = 0.5  # of the same: with less, the difference to what is settled further tells most of what settling left
 
@@ -35,7 +37,7 @@ AT_REST = 0.5  # of the same: with less, the difference to what is settled furth
 class StepError(NamedTuple):
     """Estimated errors of step and rounding, nan where the runs show no order. step [s]: of the second run; rms, largest [m]: of
     the free balls' positions at the end; energy [J]: of the total energy at the end; probes: of each number's last, least and
-    largest value, of the latter two also that they may lie between frames; why: words where the second run failed and nothing
+    largest value, of the latter two also that they may lie between readings; why: words where the second run failed and nothing
     is known; runs: how many there were."""
 
     step: float
@@ -60,11 +62,11 @@ class StepError(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """Result of one run: positions of free balls [m], energy [J], and numbers by name at each frame."""
+    """Result of one run: positions of free balls [m], energy [J], and numbers by name at each reading."""
 
     place: NDArray
     energy: float
-    probes: dict[str, list[float]]
+    probes: dict[str, NDArray]
 
 
 def settle_further(simulation: Any, left: Any, share: float) -> bool:
@@ -77,8 +79,19 @@ def settle_further(simulation: Any, left: Any, share: float) -> bool:
         return bool(simulation.settle(share * left.residual / left.load).residual < AT_REST * left.residual)
 
 
+class _Reading(NamedTuple):
+    """Numbers of all probes at a time [s]: of a frame, or of a step between, where means are nan."""
+
+    time: float
+    is_frame: bool
+    values: NDArray
+
+
 class Companion:
     """Keeps what the first run starts from and reads, and repeats it at half the step with other rounding.
+
+    Probes are read at the steps between frames, too, so that a peak does not depend on frames. every: steps from one reading to
+    the next.
 
     In single precision what the scene is made of, where it starts and the step are rounded to the other of their two neighbours,
     so that both runs enclose the scene as it is meant. What was settled is settled further. Methods of first order, contacts and
@@ -86,17 +99,32 @@ class Companion:
     tearing, which begin and end within a step, show none. No number is known better than to the rounding of its own size.
     """
 
-    def __init__(self, simulation: Any) -> None:
+    def __init__(self, simulation: Any, duration: float) -> None:
         if simulation.settings.tolerance is not None:
             raise SceneError("error", says="is estimated already where a tolerance is given; leave one of them out")
         self._start = simulation.snapshot()
         # a run that has begun is not at the place of rest any more
         self._settled = simulation.settled if self._start.time == 0.0 else None
-        self._readings: list[tuple[float, dict[str, float]]] = []
+        self._readings: list[_Reading] = []
+        self._names = list(units_of(simulation.scene))
+        self.every = steps_between(simulation, duration, len(self._names))
 
     def note(self, frame: Frame) -> None:
         """Keep what the first run reads at a frame."""
-        self._readings.append((frame.time, dict(frame.probes)))
+        if self._readings and self._readings[-1].time == frame.time and not self._readings[-1].is_frame:
+            self._readings.pop()
+        self._readings.append(_Reading(frame.time, True, np.array([*frame.probes.values()])))
+
+    def look(self, simulation: Any) -> None:
+        """Keep what it reads at a step between frames."""
+        self._readings.append(_Reading(simulation.time, False, np.array([*simulation.probes_at_moment().values()])))
+
+    def extremes(self) -> dict[str, tuple[float, float, float]]:
+        """Each number's last, least and largest value."""
+        return {name: _summed_up(values) for name, values in self._read().items()}
+
+    def _read(self) -> dict[str, NDArray]:
+        return _by_name(self._names, [one.values for one in self._readings])
 
     def compare(
         self, simulation: Any, advance: Callable[[int, float], None], begin: Callable[[str], object] = str
@@ -106,7 +134,7 @@ class Companion:
         half, single = simulation.dt / simulation.substeps / 2.0, simulation.backend.precision == "f32"
         free, order = ~simulation.scene.pinned, _Order.of(simulation)
         energy = simulation.energy()
-        runs = [_Run(simulation.position[free], energy.total, _by_name([probes for _, probes in self._readings]))]
+        runs = [_Run(simulation.position[free], energy.total, self._read())]
         try:
             begin("frames of the second run, at half the step")
             again, start = self._second(simulation)
@@ -150,27 +178,39 @@ class Companion:
             hidden=hidden if any(np.isnan(off[1:]).all() for off in probes.values()) else "",
         )
 
-    def between_frames(self, error: StepError, units: Mapping[str, str]) -> str:
-        """Words on the quantities whose extremes may lie between frames, where that is most of their uncertainty; empty where it
-        is of none."""
+    def between_readings(self, error: StepError, units: Mapping[str, str]) -> str:
+        """Words on the quantities whose extremes may lie between readings, where that is most of their uncertainty; empty where
+        it is of none, or all steps are read."""
+        if self.every == 1:
+            return ""
         wide = []
-        for name, run in _by_name([probes for _, probes in self._readings]).items():
+        for name, run in self._read().items():
             missed = _missed(run)
-            if any(2.0 * one > other for one, other in zip(missed, error.probes.get(name, (nan,) * 3)[1:])):
+            known = run[~np.isnan(run)]
+            least = NOTED * float(known.max(initial=-inf) - known.min(initial=inf))
+            off = error.probes.get(name, (nan,) * 3)[1:]
+            if any(one > least and 2.0 * one > other for one, other in zip(missed, off)):
                 wide.append(f"{name} by {measured(max(missed), unit=units.get(name, ''))}")
         if not wide:
             return ""
         more = f" and {len(wide) - NAMED} more" if len(wide) > NAMED else ""
-        return f"extremes between frames may go beyond those read ({', '.join(wide[:NAMED])}{more}): raise --fps"
+        return (
+            f"extremes may go beyond those read ({', '.join(wide[:NAMED])}{more}): one step in {self.every} is read;"
+            " raise --fps"
+        )
 
     def _repeat(self, again: Any, free: NDArray, advance: Callable[[int, float], None]) -> _Run:
-        """Run to the end of the first run, and read at its frames."""
-        found: list[dict[str, float]] = []
-        for index, (time, _) in enumerate(self._readings):
-            again.step(max(0, round((time - again.time) / again.dt)))
-            found.append(again.probes())
-            advance(index + 1, time - self._start.time)
-        return _Run(again.position[free], again.energy().total, _by_name(found))
+        """Run to the end of the first run, and read where it was read."""
+        found: list[NDArray] = []
+        frames = 0
+        for one in self._readings:
+            again.step(max(0, round((one.time - again.time) / again.dt)))
+            probes = again.probes() if one.is_frame else again.probes_at_moment()
+            found.append(np.array([*probes.values()]))
+            if one.is_frame:
+                frames += 1
+                advance(frames, one.time - self._start.time)
+        return _Run(again.position[free], again.energy().total, _by_name(self._names, found))
 
     def _second(self, simulation: Any) -> tuple[Any, Any]:
         """The second run, at the start of the first, and that start."""
@@ -196,14 +236,13 @@ def _resumed(simulation: Any, start: Any) -> Any:
     return simulation
 
 
-def _by_name(readings: list[dict[str, float]]) -> dict[str, list[float]]:
-    """Numbers at all frames, by name."""
-    names = readings[0] if readings else {}
-    return {name: [probes[name] for probes in readings] for name in names}
+def _by_name(names: Sequence[str], readings: list[NDArray]) -> dict[str, NDArray]:
+    """Numbers at all readings, by name."""
+    return {name: np.array([one[k] for one in readings]) for k, name in enumerate(names)}
 
 
-def _missed(run: list[float]) -> tuple[float, float]:
-    """Bounds of how far a number goes below its least and beyond its largest reading between frames."""
+def _missed(run: Sequence[float] | NDArray) -> tuple[float, float]:
+    """Bounds of how far a number goes below its least and beyond its largest reading."""
     if np.isnan(run).all():
         return 0.0, 0.0
     return beyond(run, int(np.nanargmin(run))), beyond(run, int(np.nanargmax(run)))
@@ -266,17 +305,18 @@ def _hidden(simulation: Any) -> str:
 
 
 def _off(
-    runs: list[list[float]], order: _Order, digit: float, steps: float = 1.0, blind: bool = False
+    runs: Sequence[Sequence[float] | NDArray], order: _Order, digit: float, steps: float = 1.0, blind: bool = False
 ) -> tuple[float, float, float]:
     """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded;
     steps: of the last run. blind: to fast motion, so that extremes are known only where the runs agree to rounding.
 
-    Differences that swing, and those of rounding, pass through 0: the last value is as wrong as the frames before it.
+    Differences that swing, and those of rounding, pass through 0: the last value is as wrong as those before it.
     """
     before = len(runs[0]) - 1 - len(runs[0]) // LAST
     apart = [np.subtract(a, b) for a, b in pairwise(runs)]
+    ends_apart = [one[before:] for one in apart]
+    near = [float(np.abs(one[~np.isnan(one)]).max(initial=0.0)) for one in ends_apart]
     apart = [one[~np.isnan(one)] for one in apart]
-    near = [float(np.abs(one[before - len(runs[0]) :]).max(initial=0.0)) for one in apart]
     if not all(len(one) for one in apart):
         return nan, nan, nan
     values = [_summed_up(run) for run in runs]
@@ -293,7 +333,7 @@ def _off(
     return last, least + low, most + high
 
 
-def _summed_up(values: list[float]) -> tuple[float, float, float]:
-    """Last, least and largest; what is not known at first is left out of the latter."""
-    known = [value for value in values if not np.isnan(value)] or [float("nan")]
-    return values[-1], min(known), max(known)
+def _summed_up(values: Sequence[float] | NDArray) -> tuple[float, float, float]:
+    """Last, least and largest; what is not known, as means between frames, is left out of the latter."""
+    known = np.asarray(values)[~np.isnan(values)]
+    return float(values[-1]), float(known.min(initial=inf)), float(known.max(initial=-inf))

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
+from functools import partial
 from typing import Any, Literal
 
 from taichi_sim.analysis.frame import Frame, frame_count
@@ -103,7 +104,9 @@ def export(
             if error:
                 raise SceneError("error", says="cannot be estimated in a run that is resumed; begin it anew")
             simulation = stack.enter_context(restored(simulation, last))
-        companion = Companion(simulation) if error else None
+        companion = Companion(simulation, duration) if error else None
+        if companion is not None:
+            stack.enter_context(simulation.pausing(companion.every, partial(companion.look, simulation)))
         renderer: Any = stack.enter_context(_renderer(first, size, style)) if is_drawn else None
         run = _Run(simulation, writers, clock, bar, log, None if drawn_last else renderer)
         begin, frames = 0, simulation.frames(fps=fps, duration=duration)
@@ -151,6 +154,7 @@ def export(
             frame = simulation.frame()
         observer.conclude(frame)
         if companion is not None:
+            summary.probes = companion.extremes()
             summary.step_error = companion.compare(
                 simulation, bar.advance, lambda what: bar.phase(lambda _: compiling.word(), what)
             )
@@ -160,7 +164,7 @@ def export(
             h = simulation.dt / simulation.substeps
             kinks = inside_steps(simulation.scene, h, simulation.time) if simulation.parts.contacts.active else ()
             summary.left_out = [*others, *kinks]
-            summary.between = companion.between_frames(summary.step_error, summary.units)
+            summary.between = companion.between_readings(summary.step_error, summary.units)
         clock.charge("simulating")
     clock.charge("writing")
     return summary

@@ -72,7 +72,7 @@ class Summary:
     solver: Any = None  # see Simulation.solver
     step_error: StepError | None = None  # estimated by a second run, see Companion
     left_out: list[str] = field(default_factory=list)  # other errors, which that does not tell
-    between: str = ""  # that extremes between frames make most of an uncertainty, where they do
+    between: str = ""  # that extremes between readings make most of an uncertainty, where they do
     rotation: str = ""  # angular momentum that the method took, where that shows
     contact_load: str = ""  # that elements at contacts bear too much, where that shows
     decisions: list[str] = field(default_factory=list)  # on the way, see Simulation.decisions

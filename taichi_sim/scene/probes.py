@@ -68,6 +68,10 @@ class Probe:
         """The numbers that belong to the moment."""
         raise NotImplementedError
 
+    def held_by(self, scene: Any) -> str:
+        """Words on why it never changes in a scene; empty where it may."""
+        return ""
+
     def total(self, sample: ProbeSample) -> Floats | None:
         """Total that has grown since the start, of which the probe gives means; None where it gives none."""
         return None
@@ -101,6 +105,9 @@ class Position(Probe):
     def read(self, sample: ProbeSample) -> dict[str, float]:
         return _vector(sample.x[self.given["balls"]].mean(axis=0))
 
+    def held_by(self, scene: Any) -> str:
+        return "all its balls are pinned" if _at_rest(scene, self.given["balls"]) else ""
+
 
 class Length(Probe):
     """Length of a spring, torn or not."""
@@ -127,6 +134,12 @@ class Length(Probe):
     def read(self, sample: ProbeSample) -> dict[str, float]:
         i, j = sample.scene.pairs[self.given["spring"]]
         return {"length": float(np.linalg.norm(sample.x[j] - sample.x[i]))}
+
+    def held_by(self, scene: Any) -> str:
+        spring = self.given["spring"]
+        if any(spring in motor.springs for motor in scene.motors) or not _at_rest(scene, scene.pairs[spring]):
+            return ""
+        return f"both ends of spring {spring} are pinned"
 
 
 class Tension(Length):
@@ -302,6 +315,12 @@ def _only_one(kind: str, asked: Mapping[str, Any]) -> str:
     if len(asked) > 1:
         raise SceneError(f"probes.{list(asked)[1]}", says=f"{' and '.join(asked)} are given; give one of them")
     return next(iter(asked))
+
+
+def _at_rest(scene: Any, balls: NDArray[np.int32]) -> bool:
+    """True if balls (k,) are all pinned where they are."""
+    driven = [pins.balls for pins in scene.moving_pins]
+    return bool(scene.pinned[balls].all()) and not any(np.isin(balls, one).any() for one in driven)
 
 
 def _balls(scene: Any, value: ArrayLike) -> NDArray[np.int32]:

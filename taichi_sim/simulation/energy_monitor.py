@@ -39,6 +39,7 @@ LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it 
 STEP_GROWTH = 0.005  # of the largest kinetic energy so far, by one step of a method that only loses
 WORK_GROWTH = 100.0  # times what a driven scene had before: the bound is asked then
 DIGITS = 64.0  # units of rounding that sums and positions may differ by
+LEAST_DIGITS, MOST_DIGITS = 4, 9  # of energies in words, as many as show their difference
 CANCELLED = 4.0  # the same, of terms that cancel at rest
 
 
@@ -58,7 +59,13 @@ class Growth(NamedTuple):
     sure: bool
 
     def __str__(self) -> str:
-        return f"from {self.before:.4g} J to {self.after:.4g} J"
+        for digits in range(
+            LEAST_DIGITS, MOST_DIGITS + 1
+        ):  # of a large potential energy more are needed for a small gain
+            before, after = f"{self.before:.{digits}g}", f"{self.after:.{digits}g}"
+            if abs(float(after) - float(before) - (self.after - self.before)) <= 0.05 * abs(self.after - self.before):
+                break
+        return f"from {before} J to {after} J"
 
 
 class EnergyMonitor:

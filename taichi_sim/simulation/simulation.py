@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import import_module
@@ -123,6 +123,7 @@ class Simulation(Reader):
         for caution in cautions(scene, parts.setup):
             warn(caution)
         self._closed = self._exported = False
+        self._pauses: tuple[int, Callable[[], object]] | None = None
         self._still = scene.n_balls == 0
         self._moments = MomentsOf(scene)
         self.settled: Settled | None = None
@@ -188,7 +189,16 @@ class Simulation(Reader):
         if self._still:
             self._stepper.steps += steps
         elif self._state is not None:  # not closed
+            self._step(steps)
+
+    def _step(self, steps: int) -> None:
+        if self._pauses is None or not steps:
             self._stepper.step(steps)
+            return
+        every, call = self._pauses
+        for begin in range(0, steps, every):
+            self._stepper.step(min(every, steps - begin))
+            call()
 
     def _require_unchanged(self) -> None:
         """Raise SceneError where the scene that it was made of has got more since, which would have no effect."""
@@ -372,6 +382,16 @@ class Simulation(Reader):
     def kernels(self) -> list[str]:
         """The parts that were compiled for this scene; what it lacks is not among them."""
         return self.parts.names()
+
+    @contextmanager
+    def pausing(self, every: int, call: Callable[[], object]) -> Iterator[None]:
+        """Call something in the block after so many steps each, counted in each call of `step`, and at its end. Takes longer;
+        the steps have the same bits."""
+        self._pauses = every, call
+        try:
+            yield
+        finally:
+            self._pauses = None
 
     @contextmanager
     def exported(self, is_exported: bool = True) -> Iterator[None]:

@@ -489,6 +489,17 @@ def test_energy_that_two_passes_leave_in_springs_is_no_stable_run(method, verdic
     assert found[0] == verdict
 
 
+@pytest.mark.parametrize(
+    ("method", "verdict"),
+    [("explicit_euler", "unstable"), ("rk4", "unstable"), ("verlet", "stable"), ("tr_bdf2", "stable")],
+)
+def test_energy_out_of_nothing_is_no_stable_run(method, verdict):
+    """1.3 times the largest energy of the reference, of which half moves; symplectic methods swing by that near their bound."""
+    outcome = Outcome("cpu", [], [(1.15, 1.15, -40.0, 2.3 - 40.0)] * PARTS, [])
+    reference = replace(known_to(1e-9), energy=np.tile([0.5, 0.5, -40.0, -39.0], (PARTS, 1)))
+    assert measure._verdict(reference, outcome, named(method))[0] == verdict
+
+
 def test_intervals_hold_the_mean():
     rng = np.random.default_rng(5)
     hits = 0

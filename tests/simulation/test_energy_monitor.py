@@ -13,7 +13,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.methods import SYMPLECTIC_EULER, VERLET
 from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import run_checks
-from taichi_sim.simulation.energy_monitor import EnergyMonitor
+from taichi_sim.simulation.energy_monitor import EnergyMonitor, Growth
 from taichi_sim.simulation.state_probe import StateSample
 
 pytestmark = pytest.mark.long_in("f64")
@@ -499,3 +499,13 @@ def test_a_gain_of_a_step_counts_beyond_rounding_and_lift():
     assert 0.0 < lifted.lift < 0.1
     assert lifted.gain_of_step(look(1.0), look(1.02 + lifted.lift), 2.0) == pytest.approx(0.01)
     assert lifted.gain_of_step(look(1.0), look(1.0 + lifted.lift), 2.0) == 0.0
+
+
+@pytest.mark.once
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [(-71.0, -70.99964, "from -71 J to -70.99964 J"), (1.0, 30.12345, "from 1 J to 30.12 J"), (5e4, 5e4, "to 5e+04 J")],
+)
+def test_energies_in_words_show_their_difference(before, after, said):
+    """However far below the zero of height the scene is."""
+    assert said in str(Growth(before, after, True))

@@ -72,9 +72,12 @@ def read(
         )
     if quantity is not None:
         try:
-            quantity_of(scene, quantity)
+            name = quantity_of(scene, quantity).name
         except SceneError as error:
             raise SceneError(f"--quantity: {error}") from None
+        held = next(one for one in scene.probes if one.name == name.split(".")[0]).held_by(scene)
+        if held:
+            raise SceneError(f"--quantity: {name} never changes, for {held}; name another")
     choices |= {"quantity": quantity, "resolutions": resolutions, "rest": rest}
     plan = Plan(title, duration or duration_of(scene), **choices, arch=arch, threads=threads)
     longest = plan.duration / PARTS

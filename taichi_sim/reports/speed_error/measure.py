@@ -68,6 +68,9 @@ def _verdict(reference: Reference, outcome: Outcome, method: Method) -> tuple[st
         gained = np.max(np.array(outcome.energy) - reference.energy, axis=0) / reference.scale
         if not gained[0] <= GAIN:
             return UNSTABLE, f"moves with {gained[0]:.3g} times the largest energy of the reference more than that"
+        by_springs = method.limit is not None and method.limit.by_springs
+        if by_springs and not method.symplectic and not gained[3] <= GAIN:  # those swing, by more near their bound
+            return UNSTABLE, f"has {gained[3]:.3g} times the largest energy of the reference more, out of nothing"
         if method.single_pass and not gained[3] <= HELD:
             return (
                 UNSTABLE,

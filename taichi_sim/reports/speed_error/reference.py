@@ -50,6 +50,7 @@ class Reference:
     difference: Floats = field(default_factory=lambda: np.zeros(0))
     displacement: Floats = field(default_factory=lambda: np.zeros(0))
     parting: Floats = field(default_factory=lambda: np.zeros(0))
+    peak: Floats = field(default_factory=lambda: np.zeros(0))  # (PARTS,) see `Outcome`; empty or nan where not known
     contacts: int = 0  # the most that were seen
     touch: bool = False  # whether contacts can act, whether at a moment that was sampled or not
     why: str = ""  # there is none
@@ -74,9 +75,17 @@ class Reference:
 
     @property
     def missed(self) -> float:
-        """Bound of how far that goes beyond the largest value at the moments compared."""
+        """Bound of how far that goes beyond the largest value at the moments compared: what steps between them showed, or, where
+        none were read, a guess from the moments."""
         seen = self.displacement[: self.parts]
+        if self.reads_peak:
+            return max(0.0, float(np.max(self.peak[: self.parts])) - self.motion)
         return beyond(seen, int(np.argmax(seen))) if len(seen) else 0.0
+
+    @property
+    def reads_peak(self) -> bool:
+        """True if steps between the moments compared were read."""
+        return len(self.peak) > 0 and bool(np.isfinite(self.peak[: self.parts]).all())
 
     @property
     def growth(self) -> float:
@@ -184,6 +193,7 @@ def _reference(trials: Trials, method: str, step: Step, coarse: Outcome, fine: O
         difference=np.array([rms(error) for error in trials.compared.errors(coarse, fine)]),
         displacement=_motion(trials, fine),
         parting=parting,
+        peak=np.array(fine.peak),
         contacts=int(max(number for number, _ in fine.contacts)),
         touch=fine.touch,
     )

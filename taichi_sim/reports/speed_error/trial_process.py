@@ -9,7 +9,8 @@ import signal
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from copy import copy
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
@@ -17,9 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.between_samples import beyond, steps_between
 from taichi_sim.analysis.methods import named
-from taichi_sim.analysis.probe_readings import quantity_of
 from taichi_sim.common.errors import BackendError, UnstableError
+from taichi_sim.reports.speed_error.compared import Compared, distance, rms
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
@@ -35,7 +37,7 @@ PATIENCE = 3.0  # times what a run may take that its first steps may promise
 
 class Trial(NamedTuple):
     """A run through the whole duration. start: positions (n, dim) [m] other than the scene's. most: seconds that it may take.
-    contacts: read them, too. timed: repeat a short run for the least time."""
+    contacts: read them, too, and peaks between the moments. timed: repeat a short run for the least time."""
 
     method: str
     step: Step
@@ -67,6 +69,7 @@ class Outcome(NamedTuple):
     quantity: list[Floats] = []  # noqa: RUF012  # (1,) or (dim,), where the plan asks for one
     begin: Floats | None = None  # the same at the start
     noise: float | None = None  # s, of `seconds`
+    peak: list[float] = []  # noqa: RUF012  # the largest motion that was seen in each part, at its ends and between them
 
 
 class TrialProcesses:
@@ -161,12 +164,12 @@ class Track:
         self._clock = time.process_time if runs.arch == "cpu" else time.perf_counter
         self.settings: dict[str, Any] = {"arch": runs.arch, "precision": precision, "threads": None, "substeps": 1}
         self.method = ""
-        self.quantity = None if plan.quantity is None else quantity_of(scene, plan.quantity)
+        self.compared = Compared(scene, plan)
         self.sim: Any = None
 
     def run(self, trial: Trial) -> Outcome:
         """One trial from the start of the scene."""
-        outcome = Outcome(self.device, [], [], [], quantity=[])
+        outcome = Outcome(self.device, [], [], [], quantity=[], peak=[])
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             try:
@@ -213,14 +216,18 @@ class Track:
             return outcome._replace(left_out=_too_long(promised, trial.most))
         self._begin(trial)
         outcome = outcome._replace(begin=self._value())
+        peaks = _Peaks(self.sim, self.compared, outcome.begin)
         before, times = self._passes(), []
         for part in range(PARTS):
             try:
-                times.append(self._time(trial.step.number))
+                with peaks.watched(self.duration) if trial.contacts else nullcontext():
+                    times.append(self._time(trial.step.number))
             except UnstableError as error:
                 return outcome._replace(seconds=promised, unstable=_reason(error))
             outcome.position.append(self.sim.position)
             outcome.energy.append(tuple(self.sim.energy()))
+            if peaks.sizes:
+                outcome.peak.append(peaks.taken())
             value = self._value()
             if value is not None:
                 outcome.quantity.append(value)
@@ -237,7 +244,8 @@ class Track:
         return outcome._replace(seconds=seconds, noise=noise, passes=passes - (before or 0.0))
 
     def _value(self) -> Floats | None:
-        return None if self.quantity is None else self.quantity.value(self.sim.probes())
+        quantity = self.compared.quantity
+        return None if quantity is None else quantity.value(self.sim.probes())
 
     def _timing(self, trial: Trial, times: list[float]) -> tuple[float, float]:
         """Seconds that the run takes, and to what they are known. The run is repeated, and each part counts with its least time:
@@ -260,6 +268,43 @@ class Track:
         """Number of passes that an implicit method has counted so far; None for others."""
         solved = self.sim.solver()
         return None if solved is None else float(solved.passes)
+
+
+class _Peaks:
+    """What is compared at steps between the moments compared: sizes, as those of `Compared.motion`, since `taken`; none of
+    energies, which have one size. begin: the quantity at the start."""
+
+    def __init__(self, sim: Any, compared: Compared, begin: Floats | None) -> None:
+        self.sim, self.compared = sim, compared
+        has_zero = compared.quantity is None or not compared.quantity.from_start
+        self.begin = 0.0 if has_zero or begin is None else begin
+        self.sizes: list[float] = []
+
+    @contextmanager
+    def watched(self, duration: float) -> Iterator[None]:
+        """Read at the steps made in the block, of a run of `duration` [s]."""
+        quantity = self.compared.quantity
+        if quantity is not None and quantity.of_energy:
+            yield
+            return
+        with self.sim.pausing(steps_between(self.sim, duration, 1), self._read):
+            yield
+
+    def _read(self) -> None:
+        quantity = self.compared.quantity
+        if quantity is None:
+            self.sizes.append(rms(distance(self.compared.scene, self.sim.position, self.compared.scene.position)))
+            return
+        value = quantity.value(self.sim.probes_at_moment())
+        self.sizes.append(float(np.linalg.norm(value - self.begin)))
+
+    def taken(self) -> float:
+        """The largest since then, which may lie between two readings; nan of means."""
+        sizes, self.sizes = self.sizes, self.sizes[-1:]
+        if np.isnan(sizes).all():
+            return float("nan")
+        at = int(np.nanargmax(sizes))
+        return sizes[at] + beyond(sizes, at)
 
 
 def _reason(error: UnstableError) -> str:
