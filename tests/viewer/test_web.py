@@ -686,6 +686,40 @@ def test_a_view_waits_again_and_shows_every_frame_until_another_time():
             assert view._begin > 0.0
 
 
+def test_a_page_shows_the_last_frame_while_pictures_are_drawn_and_how_far_that_is(monkeypatch):
+    """However little time pages may take: here a picture in an hour."""
+    monkeypatch.setattr("taichi_sim.viewer.web.TOLD", 0.05)
+    monkeypatch.setattr("taichi_sim.viewer.web.MOST_FPS", 1 / 3600)
+
+    class Drawn(ts.Output):
+        def write(self, index, frame, image):
+            if index == 2:
+                page.until(lambda: "0.350 s" in page.figures, 10.0)
+                page.until(lambda: "Drawing pictures: 2 of 8" in words(), 10.0)
+
+    def words() -> str:
+        return next((str(one["_markdown"]) for one in page.parts.values() if "_markdown" in one), "")
+
+    with ts.LiveView(port=0) as view, Page(view.url) as page, ts.Simulation(pile(), arch="cpu", dt=2e-3) as sim:
+        page.until(lambda: view._server.watched)
+        ts.export(sim, Drawn(), fps=20, duration=0.35, size=(64, 64), watch=view.show)
+        view.__exit__(None, None, None)
+        page.until(lambda: page.said)
+        assert [one["visible"] for one in page.parts.values() if "_markdown" in one] == [False]
+
+
+@pytest.mark.parametrize("error", [None, ts.UnstableError("ball 3 left the world", 1.0, 3, None, None)])
+def test_a_page_shows_the_last_frame_before_it_hears_of_the_end(error, monkeypatch):
+    monkeypatch.setattr("taichi_sim.viewer.web.MOST_FPS", 1 / 3600)
+    with ts.LiveView(port=0) as view, Page(view.url) as page:
+        page.until(lambda: view._server.watched)
+        for tilt in (0.0, 0.25, 0.75):
+            view.show(sheet(3, tilt))
+        view.__exit__(None if error is None else type(error), error, None)
+        page.until(lambda: page.said)
+        assert "0.750 s" in page.figures
+
+
 @pytest.mark.parametrize(("error", "says"), [
     (None, "The run has ended."),
     (KeyboardInterrupt(), "It was stopped by Ctrl-C."),
