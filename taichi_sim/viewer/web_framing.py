@@ -22,7 +22,7 @@ PICTURE = (1280, 880)  # px of a page whose shape is not known
 LEAST_PAGE, LARGEST_PAGE = 100, 20_000  # px
 PANEL = 330  # px of a page wider than PHONE, which the panel covers at the right
 FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
-SAMPLED = 2_000  # balls that are looked at for each picture
+SAMPLED = 1_000  # balls that are looked at for each picture
 BEYOND = 0.1  # of what left the picture: room that is made about it, so that the next moment fits, too
 MOST_AWAY = 4.0  # times the first distance: what flies farther leaves the picture
 TURNED = 0.01  # of the distance: a page that looks from farther off where it was put was turned by its user
@@ -47,7 +47,7 @@ class Framing:
         if isinstance(path, Mapping):
             path = CameraPath.of(path, first.dim, len(first.position))
         self._follows = isinstance(path, CameraPath) and path.is_open
-        self._ways = icosphere(2).vertices  # directions in which the farthest of all so far is kept
+        self._ways = icosphere(1).vertices  # directions in which the farthest of all so far is kept
         self._farthest: NDArray[np.float64] | None = None
         self._pages: dict[int, _Page] = {}
         self._lock = threading.Lock()  # pages come in threads of the server
@@ -105,7 +105,7 @@ class Framing:
         if self._farthest is not None:
             points, sizes = np.concatenate([points, self._farthest]), np.append(sizes, np.zeros(len(self._farthest)))
         with self._lock:
-            far = (points @ self._ways.T + sizes[:, None]).argmax(axis=0)
+            far = (self._ways @ points.T + sizes).argmax(axis=1)
             self._farthest = points[far] + sizes[far, None] * self._ways
             for number, client in self._viser.get_clients().items():
                 if number in self._pages:
