@@ -25,8 +25,8 @@ Near = tuple[NDArray[np.int64], Floats, Floats]  # four balls (k, 4), distances 
 
 
 def findings(scene: Scene) -> Iterator[tuple[str, str]]:
-    """What is said of the surface of which two parts are nearer at rest than their thickness, by the largest factor; and the
-    cure: the largest radius that fits. None for a scene of more than MOST_TRIANGLES."""
+    """Warning of the surface of which two parts are nearer at rest than their thickness, by the largest factor, and the cure:
+    the largest radius that fits. None for a scene of more than MOST_TRIANGLES."""
     t = scene.triangles[scene.solid].astype(np.int64)
     if scene.dim == 2 or not 0 < len(t) <= MOST_TRIANGLES:
         return

@@ -44,7 +44,7 @@ class Readings:
         return found
 
     def at_moment(self, sample: ProbeSample) -> dict[str, float]:
-        """The same between two readings, which it leaves as they are: means are nan."""
+        """Numbers of all probes between two readings, which it leaves as they are: means are nan."""
         found = {}
         for probe in self.probes:
             values = probe.read(sample)
@@ -100,7 +100,7 @@ class Reader:
         return self.readings.read(self.time, self._sample()) if self.scene.probes else {}
 
     def probes_at_moment(self: Any) -> dict[str, float]:
-        """The same but for means, which are nan: those of later readings do not begin here."""
+        """Every number of every probe, but means are nan: those of later readings do not begin here."""
         return self.readings.at_moment(self._sample())
 
     def probe(self: Any, name: str) -> Any:

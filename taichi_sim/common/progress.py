@@ -6,10 +6,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from datetime import timedelta
 from typing import Any, TextIO
 
-__all__ = ["EVERY", "Counted", "Work", "log_to", "showing", "waiting"]
+__all__ = ["EVERY", "Counted", "Work", "current", "log_to", "showing", "waiting"]
 
 EVERY = 5.0  # s, between two lines of a log
 
@@ -35,6 +36,7 @@ while True:
 """
 
 _log: TextIO | None = None  # where lines go instead of standard error
+_current: ContextVar["Work | None"] = ContextVar("current", default=None)
 
 
 class Work:
@@ -95,9 +97,24 @@ def log_to(stream: TextIO) -> Iterator[None]:
         _log = before
 
 
+def current() -> Work | None:
+    """The work that this thread shows, or would show if that was wanted; None: it does none."""
+    return _current.get()
+
+
 @contextmanager
 def showing(work: Work, shown: bool) -> Iterator[None]:
     """Show work meanwhile, on standard error or, see `log_to`, in a log; nothing where `shown` is False."""
+    before = _current.set(work)
+    try:
+        with _shown(work, shown):
+            yield
+    finally:
+        _current.reset(before)
+
+
+@contextmanager
+def _shown(work: Work, shown: bool) -> Iterator[None]:
     if not shown:
         yield
         return

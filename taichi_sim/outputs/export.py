@@ -28,7 +28,9 @@ from taichi_sim.outputs.observer import Observer
 from taichi_sim.outputs.summary import Summary
 from taichi_sim.scene.looks import Look, Subjects
 
-__all__ = ["export"]
+__all__ = ["DRAWN", "export"]
+
+DRAWN = "frames drawn"  # what the progress counts while pictures of a run are drawn that is simulated already
 
 
 def export(
@@ -133,7 +135,7 @@ def export(
             renderer.fit(kept)
             clock.charge("drawing")
             clock.starts = True  # until the first picture is there
-            bar.phase(lambda _: "drawing", "frames drawn", first.time)
+            bar.phase(lambda _: "drawing", DRAWN, first.time)
         frame: Frame | None = None
         for index, frame in enumerate(frames, begin):
             wanting = [one for one in drawing if one.output.wants(index)]

@@ -11,9 +11,11 @@ from typing import Any
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common.errors import UnstableError
+from taichi_sim.common.progress import Work, current
 from taichi_sim.common.signals import heard
 from taichi_sim.device.compiling import Expected
 from taichi_sim.forces.pointer import Pointer
+from taichi_sim.outputs.export import DRAWN
 from taichi_sim.viewer.pace import Share
 from taichi_sim.viewer.player import Player, Rows
 from taichi_sim.viewer.web_panel import WebPanel
@@ -56,6 +58,10 @@ class LiveView:
         self._stage: WebStage | None = None
         self._waiting, self._waits_at = ExitStack(), -math.inf
         self._begin = 0.0
+        self._withheld: Frame | None = None  # the newest frame, where its picture would have taken too much of the time
+        self._work: Work | None = None  # of the export whose frames are shown
+        self._drawing = ExitStack()
+        self._drawing.enter_context(_repeating(lambda _: self._tell_drawing()))
 
     def wait(self, simulation: Any, pictures: bool = False) -> None:
         """Show a simulation as it is now, and tell how long its kernels take, until `show` gets a frame of another time.
@@ -64,6 +70,7 @@ class LiveView:
         pictures: True if pictures of it are drawn, whose kernels take time, too.
         """
         self._waiting.close()
+        self._work = None
         self._words.visible, self._begin = True, 0.0
         frame = simulation.frame()
         self._waits_at = frame.time
@@ -72,7 +79,8 @@ class LiveView:
 
     def show(self, frame: Frame) -> None:
         """Show a frame, unless that would take too much of the time; always those up to the first one at another time than
-        `wait` showed. Frames are of one scene."""
+        `wait` showed, and the last one. Frames are of one scene."""
+        self._work = current()
         if self._begin == 0.0:
             self._share = Share(MOST_FPS, PART)  # the wait is not charged to the run
             if frame.time != self._waits_at:  # else more kernels follow
@@ -81,20 +89,31 @@ class LiveView:
                     False  # removed, they were an error of pages that hear of it with a last change of them
                 )
                 self._begin = time.perf_counter()
-        self._show(frame)
+        self._show(frame, last=self._work is not None and self._work.done + 1 == self._work.total)
 
-    def _show(self, frame: Frame) -> None:
+    def _show(self, frame: Frame, last: bool = False) -> None:
         begin = time.perf_counter()
         if self._stage is None:
             self._open(frame)
-        elif not (self._server.watched and self._share.due(begin)):
+        elif not (self._server.watched and (last or self._share.due(begin))):
             self._panel.history.add(frame.time, frame.probes)
+            self._withheld = frame
             return
+        self._withheld = None
         self._server.work()
         assert self._stage is not None
         self._stage.show(frame, self._panel.colour)
-        self._panel.show(frame.time, frame.probes, lambda: self._rows(frame, begin))
+        self._panel.show(frame.time, frame.probes, lambda: self._rows(frame, begin), last)
         self._share.spent(begin, time.perf_counter())
+
+    def _tell_drawing(self) -> None:
+        """Tell pages how many pictures are drawn of a run that is simulated already: nothing moves meanwhile."""
+        work = self._work
+        if work is not None and work.what == DRAWN:
+            self._words.content = (
+                f"Drawing pictures: {', '.join(filter(None, (f'{work.done} of {work.total}', work.remaining)))}."
+            )
+            self._words.visible = work.done != work.total
 
     def _open(self, first: Frame) -> None:
         self._stage = WebStage(self._server, first, self._style)
@@ -116,12 +135,16 @@ class LiveView:
     def close(self) -> None:
         """Close the pages' connection. Calling it twice does no harm."""
         self._waiting.close()
+        self._drawing.close()
         self._server.close()
 
     def __enter__(self) -> "LiveView":
         return self
 
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        if self._withheld is not None:
+            self._show(self._withheld, last=True)
+        self._tell_drawing()
         _take_leave(self._server, "The run has ended.", error)
         self.close()
 
@@ -222,20 +245,25 @@ class _Browsers:
                 self.holder = None
 
 
-@contextmanager
-def _telling(place: Any, words: Callable[[float], str]) -> Iterator[None]:
+def _telling(place: Any, words: Callable[[float], str]) -> Any:
     """Tell pages meanwhile, in a markdown of theirs, what `words` makes of the seconds that they have waited."""
-    begin, ended = time.monotonic(), threading.Event()
 
-    def tell() -> None:
-        waited = time.monotonic() - begin
+    def tell(waited: float) -> None:
         place.content = f"Please wait: {words(waited)}. {waited:.0f} s have passed."
+
+    return _repeating(tell)
+
+
+@contextmanager
+def _repeating(tell: Callable[[float], None]) -> Iterator[None]:
+    """Call it meanwhile, now and every TOLD seconds, with the seconds that have passed."""
+    begin, ended = time.monotonic(), threading.Event()
 
     def go_on() -> None:
         while not ended.wait(TOLD):
-            tell()
+            tell(time.monotonic() - begin)
 
-    tell()
+    tell(0.0)
     thread = threading.Thread(target=go_on, name="telling", daemon=True)
     thread.start()
     try:

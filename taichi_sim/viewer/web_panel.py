@@ -113,10 +113,10 @@ class WebPanel:
             empty, ({"label": "t [s]"}, *series), scales={"x": {"time": False}}, legend={"live": False}, height=180
         )
 
-    def show(self, time_: float, probes: Mapping[str, float], rows: Callable[[], Rows]) -> None:
-        """Show figures and what probes say at a moment [s]; both a few times a second at most."""
+    def show(self, time_: float, probes: Mapping[str, float], rows: Callable[[], Rows], last: bool = False) -> None:
+        """Show figures and what probes say at a moment [s]; both a few times a second at most, but always those of the last."""
         self.history.add(time_, probes)
-        if time.perf_counter() < self._due:
+        if time.perf_counter() < self._due and not last:
             return
         self._due = time.perf_counter() + REFRESH
         said = rows()

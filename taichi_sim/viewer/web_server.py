@@ -50,8 +50,7 @@ class WebServer:
         # a page may ask for a tunnel through which anybody on the internet could come
         self.viser.request_share_url = lambda *_: None
         self.viser.gui.configure_theme(show_share_button=False)
-        self.framed = False  # True once a stage has said where pages look from
-        self.fitted: set[int] = set()  # clients whose view was placed
+        self.framing: Any = None  # where pages look from, once a stage has said it
         self._later: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
 
     @property

@@ -1,7 +1,6 @@
 """Frames on pages: balls, surfaces, springs, colliders and walls, as parts of a viser scene."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +11,14 @@ from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.parts import Parts, Surface, in_3d, placed
 from taichi_sim.outputs.wall_squares import wall_squares
 from taichi_sim.overlays.legend import UNITS
-from taichi_sim.render.camera import Camera, robust_bounds, triple
+from taichi_sim.render.camera import robust_bounds
 from taichi_sim.render.colouring import Colouring
-from taichi_sim.render.renderer2d import flat_view
-from taichi_sim.render.tracker import Tracker
 from taichi_sim.scene.looks import Look, Subjects
 from taichi_sim.viewer.overlay import PULL
 from taichi_sim.viewer.player import Rows
+from taichi_sim.viewer.web_framing import Framing
 from taichi_sim.viewer.web_server import WebServer
 from taichi_sim.viewer.web_surface import WebSurface, textured, to_bytes
-from taichi_sim.viewer.web_waiting import PHONE
 
 __all__ = ["COLOURS", "WebStage"]
 
@@ -34,14 +31,9 @@ ROUND = ((500, 2), (20_000, 1), (MOST_SPHERES, 0))  # so many spheres at most ha
 SCALE = to_bytes(Colouring.shades(256))  # of colours, sRGB
 SIZES = 8  # of points
 FARTHEST = 100.0  # of the size of the scene: nothing is dragged farther
-NEAREST_EYE, FARTHEST_EYE = 1e-6, 1e9  # of the size of the scene: cameras of pages
 LEAST_BALL = 0.006  # of the size of the scene: balls without a radius
 WALL = (0.82, 0.83, 0.85)  # sRGB
-PICTURE = (1280, 880)  # px of a page whose shape is not known
-LEAST_PAGE, LARGEST_PAGE = 100, 20_000  # px
-PANEL = 330  # px of a page wider than PHONE, which the panel covers at the right
 LIGHT = 0.5  # of what viser lights surfaces with beside its lamps, which alone makes colours pale
-FLAT_FOV = 20.0  # degrees: a flat scene is seen from afar
 
 
 def _like_sizes(radius: NDArray) -> list[tuple[float, NDArray]]:
@@ -51,18 +43,6 @@ def _like_sizes(radius: NDArray) -> list[tuple[float, NDArray]]:
     sizes = np.unique(np.quantile(radius, (np.arange(SIZES) + 0.5) / SIZES, method="nearest"))
     kind = np.searchsorted((sizes[1:] + sizes[:-1]) / 2, radius)
     return [(float(size), np.flatnonzero(kind == k)) for k, size in enumerate(sizes)]
-
-
-def _is_camera(its: Any) -> bool:
-    """True where a page's camera is one that viser can move."""
-    try:
-        vectors = np.array([its.position, its.look_at, its.up_direction], dtype=np.float64)
-        sizes = np.array([its.image_width, its.image_height], dtype=np.float64)
-    except (TypeError, ValueError):
-        return False
-    if vectors.shape != (3, 3) or not (np.abs(vectors) < FARTHEST_EYE).all() or not np.isfinite(sizes).all():
-        return False
-    return bool(np.linalg.norm(vectors[1] - vectors[0]) > NEAREST_EYE and vectors[2].any())
 
 
 class WebStage:
@@ -103,44 +83,8 @@ class WebStage:
     def _look(self) -> None:
         self.scene.set_up_direction("+y")
         self.scene.configure_environment_map(environment_intensity=LIGHT)
-        if self.server.framed:  # told again, pages that are open would forget what fits their own shape
-            return
-        self.server.framed = True
-        seen, start = self._seen(*PICTURE), self.server.viser.initial_camera
-        start.up, start.fov = seen.up, float(np.radians(seen.fov))
-        start.position, start.look_at = self._to_page(np.array([seen.eye, seen.target])).tolist()
-        self.server.viser.on_client_connect(self._fit)
-
-    def _seen(self, width: int, height: int) -> Camera:
-        """The camera of a page of so many px, which shows the scene beside the panel; as pictures are seen that wide."""
-        panel = min(PANEL, width // 2) if width > PHONE else 0
-        free = (width - panel, height)
-        camera = self._style.get("camera")
-        if self._first.dim == 3:
-            seen = Tracker(self._first, camera, free[0] / free[1]).first
-        else:
-            low, scale = flat_view([self._first], free)
-            middle = np.array([*(low + np.array(free) / 2 / scale), 0.0])
-            away = (0.0, 0.0, free[1] / 2 / scale / np.tan(np.radians(FLAT_FOV / 2)))
-            seen = Camera(triple(middle + away), triple(middle), fov=FLAT_FOV)
-        if camera is not None:
-            return seen
-        distance = np.linalg.norm(np.subtract(seen.eye, seen.target))
-        aside = panel / height * np.tan(np.radians(seen.fov / 2)) * distance * seen.axes()[0]
-        return replace(seen, eye=triple(seen.eye + aside), target=triple(seen.target + aside))
-
-    def _fit(self, client: Any) -> None:
-        """Let a page that was just opened look as its own shape wants it. A page may say anything: one whose camera, or size, is
-        none is left as it is."""
-        if client.client_id in self.server.fitted:
-            return
-        self.server.fitted.add(client.client_id)
-        its, low, high = client.camera, LEAST_PAGE, LARGEST_PAGE
-        if not _is_camera(its):
-            return
-        width, height = (int(np.clip(one, low, high)) for one in (its.image_width, its.image_height))
-        seen = self._seen(width, height)
-        its.position, its.look_at = self._to_page(np.array([seen.eye, seen.target]))
+        if self.server.framing is None:  # told again, pages that are open would forget what fits their own shape
+            self.server.framing = Framing(self.server, self._first, self._style, self._to_page)
 
     def _colouring(self, colour: str) -> Colouring | None:
         reach = self._style.get("colour_range") if colour == self._style.get("colour") else None
@@ -208,6 +152,7 @@ class WebStage:
             for k, (centre, rotation) in enumerate(placed(frame)):
                 self._show_body(k, centre, rotation)
             self._show_hand(held)
+        self.server.framing.hold(frame)
 
     def _show_balls(self, frame: Frame, tint: NDArray[np.uint8]) -> None:
         balls = self._balls

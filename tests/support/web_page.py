@@ -34,6 +34,7 @@ class Page:
         self.camera: dict[str, tuple[float, float, float]] = {}  # by the kind of message, the start left out
         self.bytes, self.slow = 0, slow
         self.starts = 0  # messages on where pages look from at first
+        self.size = tuple((CAMERA | own)[name] for name in ("image_width", "image_height"))  # px
         address = url.replace("http://", "ws://").rstrip("/")
         self.socket = connect(address, subprotocols=[f"viser-v{version}"], max_size=None, compression=None)
         self.say("ViewerCameraMessage", **CAMERA | own)

@@ -10,6 +10,7 @@ import time
 import urllib.error
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,8 @@ from taichi_sim.viewer.web_stage import MOST_BALLS, WebStage
 pytestmark = pytest.mark.once
 
 viser = pytest.importorskip("viser", reason="viser is not installed (the extra web)")
-Page = importlib.import_module("web_page").Page  # which takes viser
+web_page = importlib.import_module("web_page")  # which takes viser
+Page, CAMERA = web_page.Page, web_page.CAMERA
 browsers = importlib.import_module("chromium")
 
 needs_browser = pytest.mark.skipif(browsers.BROWSER is None, reason="Chromium is not installed")
@@ -253,7 +255,8 @@ def test_the_first_answer_says_that_it_compiles_and_fetches_the_page():
         words = first.read().decode()
         page = urllib.request.urlopen(server.url + "?page", timeout=30).read()
     assert "taichi_sim is compiling its kernels" in words
-    assert len(words) < len(page) / 200
+    assert len(page) > 10 * len(words)
+    assert len(words.encode()) < 2 * 1400  # two packets of a network
     assert first.headers["Content-Type"] == "text/html; charset=utf-8"
     assert first.headers["Referrer-Policy"] == "no-referrer"
 
@@ -334,6 +337,69 @@ def test_a_second_stage_does_not_undo_what_fits_an_open_page():
         WebStage(server, frame, {}).show(frame)
         page.until(lambda: "/balls" in page.parts)
         assert page.starts == starts
+        # a page that heard of the start last says so
+        fits, start = dict(page.camera), server.viser.initial_camera
+        page.camera.clear()
+        page.say("ViewerCameraMessage", **CAMERA | {"position": tuple(start.position), "look_at": tuple(start.look_at)})
+        page.until(lambda: page.camera == fits, 10.0)
+
+
+def seen_by(page: Page, server: WebServer, points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) of pages in the picture of one, in halves of it from its middle."""
+    start = server.viser.initial_camera
+    eye, target = page.camera["SetCameraPositionMessage"], page.camera["SetCameraLookAtMessage"]
+    axes = Camera(tuple(eye), tuple(target), tuple(start.up), float(np.degrees(start.fov))).axes()
+    right, up, forward = ((points - eye) @ axes.T).T
+    tall = forward * np.tan(start.fov / 2)
+    return np.stack([right / tall * page.size[1] / page.size[0], up / tall], axis=1)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_what_leaves_the_picture_stays_in_it_on_each_page_that_was_not_turned(dim):
+    """A pillar that topples and slides on, before a wide page, a phone, one whose user turned it and one that comes later."""
+    x = np.random.default_rng(4).uniform(-1, 1, (200, 3)) * (0.2, 1.0, 0.2)
+    frames = [
+        Frame(t, y := (x[:, [1, 0, 2]] + (t, -0.8, t))[:, :dim], 0 * y, np.full(200, 0.03)) for t in (1.0, 1.7, 2.0)
+    ]
+    first = Frame(0.0, x[:, :dim], 0 * x[:, :dim], np.full(200, 0.03))
+    with WebServer(port=0) as server, ExitStack() as stack:
+        stage = WebStage(server, first, {})
+        sizes = ((1280, 800), (390, 844), (640, 480))
+        pages = [stack.enter_context(Page(server.url, image_width=w, image_height=h)) for w, h in sizes]
+        for page in pages:
+            page.until(lambda page=page: len(page.camera) == 2)
+        own = CAMERA | {"position": (0.0, 3.0, 0.1)}
+        pages[2].say("ViewerCameraMessage", **own)
+        clients = server.viser.get_clients().values
+        pages[2].until(lambda: any(np.allclose(one.camera.position, own["position"]) for one in clients()))
+        before = dict(pages[2].camera)
+        for frame in (first, *frames):
+            stage.show(frame)
+        pages.append(stack.enter_context(Page(server.url, image_width=844, image_height=390)))
+        for page in pages:
+            page.until(lambda page=page: "/balls" in page.parts and len(page.camera) == 2)
+        for page in (*pages[:2], pages[3]):
+            free = 1 - 2 * (min(330, page.size[0] / 2) if page.size[0] > 576 else 0) / page.size[0]
+
+            def shown(page=page, free=free) -> bool:
+                inside = [seen_by(page, server, stage._to_page(one.position)) for one in (first, *frames)]
+                return all((np.abs(one) < 1).all() and (one[:, 0] < free).all() for one in inside)
+
+            page.until(shown, 5.0)
+        assert pages[2].camera == before
+
+
+def test_what_falls_for_ever_leaves_the_picture():
+    """Else all the rest would become a dot."""
+    x = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    with WebServer(port=0) as server, Page(server.url) as page:
+        stage = WebStage(server, Frame(0.0, x, 0 * x, np.full(2, 0.1)), {})
+        page.until(lambda: len(page.camera) == 2)
+        before = dict(page.camera)
+        for fallen in (100.0, np.nan, 3.0):
+            stage.show(Frame(1.0, x - (0.0, fallen, 0.0), 0 * x, np.full(2, 0.1)))
+            page.until(lambda: "/balls" in page.parts)
+        assert page.camera == before
 
 
 def test_a_scene_of_any_size_and_anywhere_is_as_large_and_in_the_middle():
@@ -519,10 +585,10 @@ def test_a_page_whose_camera_is_none_is_left_as_it_is_without_a_word(capfd):
             {"position": (0.0, 3.0, 0.0), "up_direction": up},
             {"position": (0.0, 3.0), "look_at": "here"},
         ):
-            before = len(server.fitted)
             with Page(server.url, **own):
-                while len(server.fitted) == before:
+                while not server.viser.get_clients():
                     time.sleep(0.01)
+                time.sleep(0.2)  # for the thread that looks at the page
         with Page(server.url) as page:
             page.until(lambda: len(page.camera) > 1)
     said = capfd.readouterr()
@@ -650,6 +716,40 @@ def test_a_view_waits_again_and_shows_every_frame_until_another_time():
             sim.step(1)
             view.show(sim.frame())
             assert view._begin > 0.0
+
+
+def test_a_page_shows_the_last_frame_while_pictures_are_drawn_and_how_far_that_is(monkeypatch):
+    """However little time pages may take: here a picture in an hour."""
+    monkeypatch.setattr("taichi_sim.viewer.web.TOLD", 0.05)
+    monkeypatch.setattr("taichi_sim.viewer.web.MOST_FPS", 1 / 3600)
+
+    class Drawn(ts.Output):
+        def write(self, index, frame, image):
+            if index == 2:
+                page.until(lambda: "0.350 s" in page.figures, 10.0)
+                page.until(lambda: "Drawing pictures: 2 of 8" in words(), 10.0)
+
+    def words() -> str:
+        return next((str(one["_markdown"]) for one in page.parts.values() if "_markdown" in one), "")
+
+    with ts.LiveView(port=0) as view, Page(view.url) as page, ts.Simulation(pile(), arch="cpu", dt=2e-3) as sim:
+        page.until(lambda: view._server.watched)
+        ts.export(sim, Drawn(), fps=20, duration=0.35, size=(64, 64), watch=view.show)
+        view.__exit__(None, None, None)
+        page.until(lambda: page.said)
+        assert [one["visible"] for one in page.parts.values() if "_markdown" in one] == [False]
+
+
+@pytest.mark.parametrize("error", [None, ts.UnstableError("ball 3 left the world", 1.0, 3, None, None)])
+def test_a_page_shows_the_last_frame_before_it_hears_of_the_end(error, monkeypatch):
+    monkeypatch.setattr("taichi_sim.viewer.web.MOST_FPS", 1 / 3600)
+    with ts.LiveView(port=0) as view, Page(view.url) as page:
+        page.until(lambda: view._server.watched)
+        for tilt in (0.0, 0.25, 0.75):
+            view.show(sheet(3, tilt))
+        view.__exit__(None if error is None else type(error), error, None)
+        page.until(lambda: page.said)
+        assert "0.750 s" in page.figures
 
 
 @pytest.mark.parametrize(("error", "says"), [

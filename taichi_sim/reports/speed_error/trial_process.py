@@ -271,7 +271,7 @@ class Track:
 
 
 class _Peaks:
-    """What is compared at steps between the moments compared: sizes, as those of `Compared.motion`, since `taken`; none of
+    """Sizes of the quantity at steps between the moments compared, as those of `Compared.motion`, since `taken`; none of
     energies, which have one size. begin: the quantity at the start."""
 
     def __init__(self, sim: Any, compared: Compared, begin: Floats | None) -> None:
