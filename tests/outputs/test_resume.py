@@ -290,7 +290,7 @@ def test_a_killed_run_leaves_files_that_open_and_is_resumed(tmp_path, monkeypatc
     draw_with(monkeypatch, FakeRenderer)
     code = f"""if True:
         import os, signal, sys
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path[:0] = {[str(Path(__file__).parent), str(Path(__file__).parents[1] / "support")]!r}
         import test_outputs as t
         from taichi_sim.outputs import export, open_output
         export.__globals__["_renderer"] = lambda frame, size, style: t.FakeRenderer(frame, size, **style)
