@@ -19,18 +19,20 @@ WORK = 1 << 27  # balls and elements read in a run
 ALONE, EACH = 2048, 64  # what a reading by itself is worth of these, and a number
 
 
-def beyond(values: Sequence[float] | NDArray[np.float64], at: int) -> float:
+def beyond(values: Sequence[float] | NDArray[np.float64], at: int, ends: bool = False) -> float:
     """Bound of how far a quantity goes beyond its extreme sample number `at`, in its unit. values: (n,) at even times, those that
     are nan left out.
 
-    A curve with at least four samples in its fastest period keeps to it; jumps need not. At the first and the last sample the
+    A curve with at least four samples in its fastest period keeps to it; jumps need not. ends: where the motion may end at once
+    between samples, as a pull that tears a spring, it may have gone on as far as before. At the first and the last sample the
     parabola through it and its two neighbours tells: a motion that starts there from rest goes no further.
     """
     known = np.flatnonzero(~np.isnan(values))
     found, at = np.asarray(values, dtype=np.float64)[known], int(np.searchsorted(known, at))
     changes = np.abs(np.diff(found))
     if 0 < at < len(changes):
-        return PART * float(changes[at - 1 : at + 1].max())
+        beside = changes[at - 1 : at + 1]
+        return float(max(PART * beside.max(), beside.min() * ends))
     if len(changes) < 2:
         return 0.0
     first, second = (changes if at == 0 else changes[::-1])[:2]

@@ -108,6 +108,7 @@ class Companion:
         self._readings: list[_Reading] = []
         self._names = list(units_of(simulation.scene))
         self.every = steps_between(simulation, duration, len(self._names))
+        self._tears = simulation.parts.tearing is not None
 
     def note(self, frame: Frame) -> None:
         """Keep what the first run reads at a frame."""
@@ -165,7 +166,7 @@ class Companion:
         for name in runs[0].probes:
             values = [run.probes[name] for run in runs]
             blind = bool(hidden) and name.split(".")[0] not in places
-            probes[name] = _off(values, order, digit, steps, blind)
+            probes[name] = _off(values, order, digit, steps, blind, self._tears)
         return StepError(
             half,
             rms.error(rms.differences) + _rms(place),
@@ -185,7 +186,7 @@ class Companion:
             return ""
         wide = []
         for name, run in self._read().items():
-            missed = _missed(run)
+            missed = _missed(run, self._tears)
             known = run[~np.isnan(run)]
             least = NOTED * float(known.max(initial=-inf) - known.min(initial=inf))
             off = error.probes.get(name, (nan,) * 3)[1:]
@@ -241,11 +242,11 @@ def _by_name(names: Sequence[str], readings: list[NDArray]) -> dict[str, NDArray
     return {name: np.array([one[k] for one in readings]) for k, name in enumerate(names)}
 
 
-def _missed(run: Sequence[float] | NDArray) -> tuple[float, float]:
-    """Bounds of how far a number goes below its least and beyond its largest reading."""
+def _missed(run: Sequence[float] | NDArray, tears: bool) -> tuple[float, float]:
+    """Bounds of how far a number goes below its least and beyond its largest reading; tears: where springs may tear."""
     if np.isnan(run).all():
         return 0.0, 0.0
-    return beyond(run, int(np.nanargmin(run))), beyond(run, int(np.nanargmax(run)))
+    return beyond(run, int(np.nanargmin(run)), tears), beyond(run, int(np.nanargmax(run)), tears)
 
 
 def _rms(values: NDArray) -> float:
@@ -305,10 +306,16 @@ def _hidden(simulation: Any) -> str:
 
 
 def _off(
-    runs: Sequence[Sequence[float] | NDArray], order: _Order, digit: float, steps: float = 1.0, blind: bool = False
+    runs: Sequence[Sequence[float] | NDArray],
+    order: _Order,
+    digit: float,
+    steps: float = 1.0,
+    blind: bool = False,
+    tears: bool = False,
 ) -> tuple[float, float, float]:
     """Errors of the last, least and largest value of one number; digit: a part of it by which any value is rounded;
-    steps: of the last run. blind: to fast motion, so that extremes are known only where the runs agree to rounding.
+    steps: of the last run. blind: to fast motion, so that extremes are known only where the runs agree to rounding. tears: see
+    `_missed`.
 
     Differences that swing, and those of rounding, pass through 0: the last value is as wrong as those before it.
     """
@@ -329,7 +336,7 @@ def _off(
         at = [int(extreme(run)) for run in runs]
         ends.append([max(abs(x[i] - y[i]) for i in at) for x, y in pairwise(runs)])
     last, least, most = (judge.error(one) + digit * abs(value) for one, value in zip(ends, values[0]))
-    low, high = _missed(runs[0])
+    low, high = _missed(runs[0], tears)
     return last, least + low, most + high
 
 

@@ -41,3 +41,10 @@ def test_readings_that_are_not_known_are_left_out():
     values = np.array([np.nan, 1.0, 3.0, np.nan, 2.5])
     assert beyond(values, 2) == 0.25 * 2.0
     assert beyond([np.nan, 1.0], 1) == beyond([4.0], 0) == 0.0
+
+
+def test_what_may_end_at_once_may_have_gone_on_as_far_as_before():
+    pull = np.array([0.0, 1.0, 2.1, 3.3, 0.0, 0.0])  # it tears before the fifth sample, at 4.5 at most
+    assert beyond(pull, 3) == 0.25 * 3.3
+    assert beyond(pull, 3, True) == pytest.approx(1.2)
+    assert beyond(-pull, 3, True) == pytest.approx(1.2)
