@@ -59,9 +59,7 @@ class Growth(NamedTuple):
     sure: bool
 
     def __str__(self) -> str:
-        for digits in range(
-            LEAST_DIGITS, MOST_DIGITS + 1
-        ):  # of a large potential energy more are needed for a small gain
+        for digits in range(LEAST_DIGITS, MOST_DIGITS + 1):  # a small gain of a large potential energy needs more
             before, after = f"{self.before:.{digits}g}", f"{self.after:.{digits}g}"
             if abs(float(after) - float(before) - (self.after - self.before)) <= 0.05 * abs(self.after - self.before):
                 break

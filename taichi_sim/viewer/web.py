@@ -85,9 +85,8 @@ class LiveView:
             self._share = Share(MOST_FPS, PART)  # the wait is not charged to the run
             if frame.time != self._waits_at:  # else more kernels follow
                 self._waiting.close()
-                self._words.visible = (
-                    False  # removed, they were an error of pages that hear of it with a last change of them
-                )
+                # removed, they were an error of pages that hear of it with a last change of them
+                self._words.visible = False
                 self._begin = time.perf_counter()
         self._show(frame, last=self._work is not None and self._work.done + 1 == self._work.total)
 
