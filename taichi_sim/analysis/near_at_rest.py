@@ -92,5 +92,5 @@ def _edges(scene: Scene, edges: NDArray[np.int64]) -> Near:
 
 def _pairs(low: Floats, high: Floats, others: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Boxes from low to high (k, 3), and things with corners (m, n, 3), that are near: the numbers of both."""
-    found = list(near(np.stack([low, high], axis=1), others))
-    return tuple(np.concatenate([part[side] for part in found]) for side in range(2))  # type: ignore[return-value]
+    first, second = zip(*near(np.stack([low, high], axis=1), others))
+    return np.concatenate(first), np.concatenate(second)

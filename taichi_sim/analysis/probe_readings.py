@@ -1,6 +1,6 @@
 """Readings: what the probes of a scene say at a moment, and what a name like `load.tension` means."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,22 +34,24 @@ class Readings:
             self.begin(time, sample)
         elif time > self._now[0]:
             self._before = self._now
-        self._now = (time, self._totals(sample))
-        found = {}
-        for probe in self.probes:
-            values = probe.read(sample)
-            if probe.name in self._now[1]:
-                values |= probe.mean(self._growth(probe.name), self._interval())
-            found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
-        return found
+        totals = self._totals(sample)
+        self._now = (time, totals)
+
+        def mean(probe: Probe) -> dict[str, float]:
+            return probe.mean(self._growth(probe.name), self._interval()) if probe.name in totals else {}
+
+        return self._numbers(sample, mean)
 
     def at_moment(self, sample: ProbeSample) -> dict[str, float]:
         """Numbers of all probes between two readings, which it leaves as they are: means are nan."""
+        return self._numbers(sample, lambda probe: dict.fromkeys(probe.numbers(sample.scene.dim), float("nan")))
+
+    def _numbers(self, sample: ProbeSample, mean: Callable[[Probe], dict[str, float]]) -> dict[str, float]:
+        """Each number of each probe; mean: those that do not belong to the moment."""
         found = {}
         for probe in self.probes:
-            values = probe.read(sample)
-            numbers = probe.numbers(sample.scene.dim)
-            found.update({f"{probe.name}.{number}": values.get(number, float("nan")) for number in numbers})
+            values = mean(probe) | probe.read(sample)
+            found.update({f"{probe.name}.{number}": values[number] for number in probe.numbers(sample.scene.dim)})
         return found
 
     def memory(self) -> list[Any]:

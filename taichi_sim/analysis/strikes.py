@@ -86,9 +86,8 @@ def resolved_bounce_step(scene: Scene, method: Method) -> float:
     else:
         n = np.array([wall.normal for wall in scene.walls]).reshape(-1, scene.dim)
         elastic, drag = (np.einsum("wa,iab,wb->iw", n, one, n) for one in (stiff, damped))
-    further = np.sum(
-        [(0.0, 0.0), *(one.further_rates(scene) for one in solved if one.is_implicit)], axis=0
-    )  # along any
+    # along any direction
+    further = np.sum([(0.0, 0.0), *(one.further_rates(scene) for one in solved if one.is_implicit)], axis=0)
     elastic, drag = elastic + OWN_PART * further[0], drag + OWN_PART * further[1]
     root = drag / method.stage + np.sqrt((drag / method.stage) ** 2 + 4.0 * elastic)  # of h^2 K + h D / stage = 1
     most = float(np.max(root, initial=0.0))

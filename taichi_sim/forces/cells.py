@@ -141,7 +141,8 @@ class Cells(Corners):
         pressure in the precision of places."""
         if self.shared:
             self.slope, self.change = fields.reals(self.groups), fields.reals(self.groups)
-            self.pressure = fields.doubles(self.groups)
+            if fields.wide != fields.real:
+                self.pressure = fields.doubles(self.groups)
 
     @ti.func
     def prepare_blocks(self, ball: ti.template(), s):

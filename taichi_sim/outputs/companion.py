@@ -238,8 +238,8 @@ def _resumed(simulation: Any, start: Any) -> Any:
 
 
 def _by_name(names: Sequence[str], readings: list[NDArray]) -> dict[str, NDArray]:
-    """Numbers at all readings, by name."""
-    return {name: np.array([one[k] for one in readings]) for k, name in enumerate(names)}
+    """Numbers at all readings, of which there is one at least, by name."""
+    return dict(zip(names, np.array(readings).T))
 
 
 def _missed(run: Sequence[float] | NDArray, tears: bool) -> tuple[float, float]:

@@ -23,9 +23,8 @@ ALONE = threading.Lock()  # held while functions and a console that all of the p
 SILENT = logging.getLogger(f"{__name__}.requests")  # of what strangers send, which is no error of this program
 SILENT.addHandler(logging.NullHandler())
 SILENT.propagate = False
-PATIENCE = (
-    60.0  # s for a request to be read and for a page to answer: the compiler may stop all other threads for half of it
-)
+# s for a request to be read and for a page to answer: the compiler may stop all other threads for half of it
+PATIENCE = 60.0
 REFUSED = "taichi_sim: open the address that the program printed, with all that follows the port.\n"
 
 

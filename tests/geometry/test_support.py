@@ -1,4 +1,4 @@
-"""How far points reach, against all products."""
+"""Reach of points along directions, against all products."""
 
 import numpy as np
 import pytest
