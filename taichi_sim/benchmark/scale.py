@@ -126,7 +126,6 @@ def _falling_cloth(side: float, height: float, n: int, **options: Any) -> Scene:
 
 def video_report(quick: bool) -> Report:
     """A cloth of 256 x 256 balls that falls and folds on the floor, end to end into an MP4 of 300 frames, 1280 x 720."""
-
     n, frames, size = (24, 6, (320, 180)) if quick else (256, 300, (1280, 720))
     report = Report(f"video: {n} x {n} cloth, {frames} frames, {size[0]} x {size[1]}, MP4", ratios=False, samples=1)
     report.goals["a frame, compiling included"] = "333 ms, 90 %"

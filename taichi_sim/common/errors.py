@@ -46,7 +46,7 @@ IN_UNITS = {"angular_velocity": ", in degrees per second"}  # of what was rename
 
 
 class SceneError(ValueError):
-    """Something in the scene is wrong. The message is made of data, which stay attributes:
+    """Something in the scene is wrong. The message is made of data, which stay attributes.
 
     path: keys and indices of the place, ("springs", 3, "pairs", 12), given so or as text; () where a sentence stands alone.
     value: what stands there; `...` where no value is at fault. allowed: what it must be. says: in place of that, what is

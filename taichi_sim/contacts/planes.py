@@ -13,6 +13,8 @@ __all__ = ["Planes"]
 
 @ti.data_oriented
 class Planes:
+    """Walls as planes n . x = offset, with their materials and, where scenes have groups, the groups that they hold."""
+
     def __init__(self, model: Model, fields: Fields) -> None:
         walls = model.scene.walls
         self.model, self.count = model, len(walls)

@@ -103,7 +103,7 @@ class Simulation(Strict):
         None,
         "in place of dt: the error allowed in a simulated second, the largest of any ball, as a part of the scene's size [1]",
     )
-    integrator: Literal[tuple(["auto", *BUILT_IN_METHODS])] = _key(  # type: ignore[valid-type]
+    integrator: Literal[("auto", *BUILT_IN_METHODS)] = _key(  # type: ignore[valid-type]
         VERLET.name, "the method; auto: verlet, or an implicit one with its step where that takes far less time"
     )
     precision: Literal["f32", "f64"] = _key("f32", "of the numbers: f32 single, f64 double")

@@ -36,7 +36,7 @@ class Bending(Corners):
         kept = np.concatenate([~rod if k == 1 else np.ones(len(rod), dtype=bool) for k in range(4)])
         others = np.concatenate([bends[:, r] for r in rest])
         real = fields.real
-        columns = {name: real for name in ("stiffness", "own", "wa", "wb", "wc")}
+        columns = dict.fromkeys(("stiffness", "own", "wa", "wb", "wc"), real)
         data = {"stiffness": np.tile(stiffness, 4), "own": weights.T.ravel()}
         data |= {name: np.concatenate([weights[:, r[k]] for r in rest]) for k, name in enumerate(("wa", "wb", "wc"))}
         if self.damped:

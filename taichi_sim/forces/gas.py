@@ -32,9 +32,7 @@ class Gases(Corners):
         t = np.concatenate([gas.triangles for gas in gases])
         gas = np.repeat(np.arange(self.count), [len(g.triangles) for g in gases])
         self.gather(model, fields, sides(t[:, [1, 2, 0]]), t.T.ravel(), {"gas": ti.i32}, {"gas": np.tile(gas, 3)})
-        self.triangle = fields.table(
-            {name: ti.i32 for name in "abc"}, len(t), {n: t[:, k] for k, n in enumerate("abc")}
-        )
+        self.triangle = fields.table(dict.fromkeys("abc", ti.i32), len(t), {n: t[:, k] for k, n in enumerate("abc")})
         ends = np.cumsum([len(g.triangles) for g in gases])
         parts = [
             (k, f, min(f + LONG_PART, e))

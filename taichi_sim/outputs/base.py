@@ -1,4 +1,6 @@
-"""Interface of outputs. A user-defined output is a class with these members, in any file; pass the object to `export`:
+"""Interface of outputs.
+
+A user-defined output is a class with these members, in any file; pass the object to `export`:
 
     class Heights(ts.Output):
         needs_image = False

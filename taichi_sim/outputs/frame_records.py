@@ -100,7 +100,7 @@ class FrameRecords:
 
     def _check(self, arrays: dict[str, NDArray]) -> None:
         """Raise ValueError where these cannot be of a frame of the run."""
-        shapes = {name: self._first.position.shape for name in ("position", "velocity")}
+        shapes = dict.fromkeys(("position", "velocity"), self._first.position.shape)
         if isinstance(self._first, Moment):
             shapes |= {"spin": self._first.spin.shape, "torn": (self._first.scene.n_springs,)}
         for name, array in arrays.items():

@@ -52,7 +52,7 @@ def video(
         settings: arguments of Simulation, where a Scene is given: dt, integrator, ...; and of `Renderer`, which go before
             those in `style`: camera, stage, ...
 
-    Returns what the run did; `print("\\n".join(summary.lines()))` says it in words, and a notebook shows it with the
+    Returns what the run did; `summary.lines()` says it in words, and a notebook shows it with the
     video. Raises what Simulation, `ts.open_output` and `ts.export` raise.
     """
     _require_known(settings)

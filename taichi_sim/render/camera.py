@@ -62,7 +62,7 @@ class Camera:
         return np.stack([right, np.cross(right, forward), forward])
 
     def aside(self, right: float, up: float) -> "Camera":
-        """This camera with its eye so far [m] aside, towards the same target."""
+        """Camera with its eye so far [m] aside, towards the same target."""
         if not right and not up:
             return self
         axes = self.axes()

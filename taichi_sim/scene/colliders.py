@@ -227,7 +227,9 @@ class Mesh(_Placed):
 
 @dataclass(frozen=True)
 class ColliderShape(_Placed):
-    """Base of user-defined collider shapes. center (dim,) [m]: where the origin of its own frame is. It has
+    """Base of user-defined collider shapes.
+
+    center (dim,) [m]: where the origin of its own frame is. It has
 
     `distance(p)`: a Taichi function, the signed distance [m] of the point p (dim,) [m] of its own frame from its surface,
     negative inside; true within a ball's radius, and nowhere more than that, for balls on their way are led by it.

@@ -81,7 +81,7 @@ class Scene(BallMethods, SpringMethods, Elements, PinMethods, Motorised, Probed,
 
     @property
     def gravity(self) -> NDArray[np.float64]:
-        """(dim,) m/s^2"""
+        """Acceleration of all balls, (dim,) [m/s^2]."""
         return self._gravity
 
     @gravity.setter

@@ -27,7 +27,7 @@ def save_scene(scene: Any, path: str | os.PathLike[str], output: Mapping[str, An
     output: the table [output], checked. Springs and triangles are written as they are, not as the shapes that made them,
     textures in its folder by their place there. Raises OSError where the file cannot be written, SceneError without a ball.
     """
-    import tomli_w
+    import tomlkit
 
     file = Path(path)
     require_name(file)
@@ -38,7 +38,7 @@ def save_scene(scene: Any, path: str | os.PathLike[str], output: Mapping[str, An
     for look in document.get("output", {}).get("looks") or ():
         if "texture" in look:
             look["texture"] = _from(file, look["texture"])
-    text = tomli_w.dumps(document).encode()
+    text = tomlkit.dumps(document).encode()
     with replacing(file) as out:
         out.write(text)
         if long:

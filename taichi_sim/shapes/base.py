@@ -55,8 +55,9 @@ def _none(*shape: int) -> NDArray[np.int32]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """Balls, springs and all else that a shape added to the scene, as indices into it. A user-defined shape is a function
-    that returns a Shape:
+    """Balls, springs and all else that a shape added to the scene, as indices into it.
+
+    A user-defined shape is a function that returns a Shape:
 
     def bar(scene, start, end, stiffness=100.0):
         balls = scene.add_balls([start, end], radius=0.1)

@@ -170,8 +170,8 @@ class Settings:
         return dt, self._substeps(scene, dt)
 
     def _substeps(self, scene: Scene, dt: float) -> int:
-        """ "auto": as many as loose balls need to lie on each other firmly and, where no tolerance is given, to collide in time;
-        and, down to LONGEST_STEP, as surfaces that collide and the passes of xpbd need."""
+        """Number of substeps of a step. For "auto" loose balls need so many to lie on each other firmly and, without a tolerance,
+        to collide in time; surfaces that collide and the passes of xpbd need them down to LONGEST_STEP."""
         if self.substeps != "auto":
             return int(self.substeps)
         longest = _pile_step(scene, self.contacts)

@@ -29,7 +29,7 @@ def soup():
     balls = scene.add_balls(
         x, radius=radius, mass=10 ** rng.uniform(-2, 2, n), pinned=rng.uniform(size=n) < 0.1, body=1
     )
-    t = np.array([[i, i + 1, i + 2] for i in range(0, TRIANGLES)] + [[k, k + 1, k + 2] for k in (17, 20, 23)])
+    t = np.array([[i, i + 1, i + 2] for i in range(TRIANGLES)] + [[k, k + 1, k + 2] for k in (17, 20, 23)])
     scene.add_triangles(balls[t], collides=True)
     scene.add_springs([[0, 5], [3, 18], [4, 9]], stiffness=0.0)
     return scene

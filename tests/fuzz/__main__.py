@@ -1,6 +1,7 @@
-"""Thousands of scene files, state files and meshes, each read or refused in one sentence: python -m tests.fuzz --cases 10000
+"""Thousands of scene files, state files and meshes, each read or refused in one sentence.
 
-Says what was found: one line for each place in the program that broke, with the shortest file that breaks it, and exits with 1.
+`python -m tests.fuzz --cases 10000` prints a line for each place in the program that broke, with the shortest file that breaks
+it. It exits with 1 if there are any.
 """
 
 import argparse

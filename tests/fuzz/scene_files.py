@@ -4,7 +4,7 @@ import json
 import warnings
 
 import numpy as np
-import tomli_w
+import tomlkit
 from hypothesis import strategies as st
 
 import taichi_sim as ts
@@ -93,7 +93,7 @@ def prepare(folder):
 
 def _toml(document):
     try:
-        return tomli_w.dumps(document).encode(errors="replace")
+        return tomlkit.dumps(document).encode(errors="replace")
     except (TypeError, ValueError, AttributeError):  # what TOML has no word for
         return json.dumps(document, default=str).encode()
 

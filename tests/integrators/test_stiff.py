@@ -188,8 +188,8 @@ def test_any_damping(method, power):
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 @pytest.mark.slow_where(method="tr_bdf2")
 def test_heavy_end(method):
-    """A chain of 20 whose last ball is 1e4 times heavier: the static stretch within 1 %. (xpbd, once per step and spring, lets
-    it sink for many seconds.)"""
+    """A chain of 20 whose last ball is 1e4 times heavier: the static stretch within 1 %. By xpbd, once per step and spring, it
+    sinks for many seconds."""
     n, k, m = 20, 1e7, 1.0
     scene = ts.Scene(dim=2, gravity=(0, -10))
     mass = np.full(n + 1, m)

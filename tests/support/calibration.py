@@ -69,7 +69,7 @@ def _box(scene: ts.Scene, width: float, height: float) -> None:
 
 
 def _down(dim: int) -> list[float]:
-    return [0, -10, 0][:dim]
+    return [0.0, -10.0, 0.0][:dim]
 
 
 def glancing(rng: Generator) -> ts.Scene:
@@ -186,7 +186,7 @@ def balloon(rng: Generator) -> ts.Scene:
     """Above a floor."""
     scene = ts.Scene(dim=3, gravity=_down(3))
     _material(scene, rng)
-    damping = rng.choice([None, 1.0])
+    damping = (None, 1.0)[rng.integers(2)]
     ts.shapes.balloon(scene, (0, 0.5, 0), 0.3, int(rng.integers(1, 3)), damping=damping, material="m")
     scene.add_wall((0, 1, 0), 0.0, material="m")
     return scene
@@ -254,6 +254,7 @@ def rows(name: str, builds: int, starts: int, seed: int, integrator: str | None 
                     end = _run(sim, x, v, settings, settings.time_step(scene, sim._stability)[1])
                 wall = time.perf_counter() - begin
                 found = sim._stepper.policy.report()
+                assert found is not None
                 unit = tolerance * found.size * DURATION
                 plain, finer, begin = replace(settings, tolerance=None, dt=sim.dt), [], time.perf_counter()
                 with warnings.catch_warnings():

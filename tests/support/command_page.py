@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from click import Group
 from typer.main import get_command
 
 from taichi_sim.cli.main import main
@@ -11,7 +12,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "command.md"
 
 def commands():
     """Name to command, in the order of `taichi-sim --help`."""
-    return get_command(main).commands
+    group = get_command(main)
+    assert isinstance(group, Group)
+    return group.commands
 
 
 def options(command):
@@ -40,7 +43,7 @@ def markdown():
     """The whole page."""
     group = get_command(main)
     lines = ["# Commands", "", "<!-- `make docs` writes this page from the command -->", ""]
-    lines += [f"`taichi-sim COMMAND -h` prints the same. {group.help}", "", group.epilog]
+    lines += [f"`taichi-sim COMMAND -h` prints the same. {group.help}", "", str(group.epilog)]
     for name, command in commands().items():
         lines += ["", f"## taichi-sim {name}", "", " ".join(command.help.split()), "", *table(options(command))]
     return "\n".join(lines) + "\n"

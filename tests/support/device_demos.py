@@ -1,4 +1,4 @@
-"""The built-in demos on a device and on the CPU, in single precision: do they move alike, and look alike?
+"""The built-in demos on a device and on the CPU, in single precision: held to move and look alike.
 
     python tests/support/device_demos.py ARCH [NAME ...] [--at PART] [--full] [--folder FOLDER]
 
@@ -22,6 +22,7 @@ import warnings
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from taichi_sim.demos import million, pudding
@@ -63,7 +64,8 @@ SMALLER = {"million": small_million, "pudding": small_pudding}
 def opened(name, full):
     """A demo's scene, its length [s], the size of its picture [px] and its look."""
     scene = SMALLER[name]() if name in SMALLER and not full else open_scene(demos()[name])
-    output = {"duration": 5.0, "size": (1280, 720)} | checked_output(scene)
+    assert scene is not None
+    output: dict[str, Any] = {"duration": 5.0, "size": (1280, 720)} | checked_output(scene)
     duration, (width, height) = output.pop("duration"), output.pop("size")
     output.pop("fps", None)
     return scene, duration, (WIDTH, round(WIDTH * height / width)), output
@@ -76,7 +78,8 @@ def begin_later(name, full, part, file):
     with ts.Simulation(scene, arch="cpu", precision="f32") as simulation:
         simulation.run(part * duration)
         snapshot = simulation.snapshot()
-    np.savez(file, began=snapshot.time, **snapshot.arrays())
+    arrays: dict[str, Any] = {"began": snapshot.time} | snapshot.arrays()
+    np.savez(file, **arrays)
 
 
 def ready(scene, arch, start):

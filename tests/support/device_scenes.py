@@ -1,5 +1,5 @@
 """Scenes that together use every kind of contact, element and integrator, run for a few steps on one device, for tests that
-compare devices:
+compare devices.
 
     python tests/support/device_scenes.py ARCH FILE.npz [NAME ...]
 
@@ -11,6 +11,7 @@ import itertools
 import os
 import sys
 import warnings
+from typing import Any
 
 import numpy as np
 import reference_bits as bits
@@ -201,7 +202,7 @@ def run(name, arch, scene=None, settings=None):
 
 def swinging_cloth():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    corners = {"pinned": [0, 90], "stiffness": 2000, "damping": 0.2}
+    corners: dict[str, Any] = {"pinned": [0, 90], "stiffness": 2000, "damping": 0.2}
     ts.shapes.cloth(scene, size=(0.6, 0.6), resolution=(10, 10), **corners)
     return scene
 
@@ -281,7 +282,7 @@ if __name__ == "__main__":
     arch, file, *names = sys.argv[1:]
     if arch == "cpu":  # scenes are small, and each worker of pytest has such a process
         backend.start(arch, PRECISION, threads=min(2, os.cpu_count() or 1))
-    found = {}
+    found: dict[str, Any] = {}
     for name in names or (*PICTURES, *BY_NAME, *SWINGING, *STIFF):
         if name in STIFF:
             made = stiff(name, arch)

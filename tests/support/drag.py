@@ -11,7 +11,7 @@ class Drag:
         self.rate = rate
 
     @ti.func
-    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):  # type: ignore[valid-type]
         for i in range(model.n):
             w = model.inverse_mass[i]
             if w > 0.0:

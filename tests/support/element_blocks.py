@@ -139,5 +139,5 @@ def downhill(scene: ts.Scene, at: np.ndarray | None = None, torn: np.ndarray | N
         there[0][k] += 1e-6
         there[1][k] -= 1e-6
         stored = (diagnostics.energy(scene, x, scene.velocity, torn=torn).spring for x in there)
-        gradient[k] = np.subtract(*stored) / 2e-6
+        gradient[k] = -np.diff(list(stored))[0] / 2e-6
     return -gradient

@@ -44,7 +44,7 @@ def scene(folder):
     made.set_name(jelly.balls, "pudding")
     ts.shapes.rope(made, (0, 2, 3), (1, 2, 3), 4)
     marbles = [
-        made.add_balls([[0, 3, k], [0.5, 3, k]], radius=[0.1, 0.15], colour=c) for k, c in ((0, GREEN), (1, RED))
+        made.add_balls([(0, 3, k), (0.5, 3, k)], radius=[0.1, 0.15], colour=c) for k, c in ((0, GREEN), (1, RED))
     ]
     made.set_name(np.concatenate(marbles), "marbles")
     made.add_collider(ts.Sphere((5, 0, 0), 0.3, velocity=(0, 0.6, 0), colour=RED, name="moon"))

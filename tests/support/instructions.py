@@ -12,7 +12,9 @@ import sys
 import tempfile
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 SPACES = re.compile(rb"^  [^ ;]")  # an instruction, and no case of a switch
 NAME = re.compile(rb"^define [^@]*@\"?(\w+?)_c\d+_\d+_kernel_\d+")
@@ -77,7 +79,7 @@ def _bricks():
     return scene
 
 
-SCENES = {
+SCENES: dict[str, Callable[[], tuple[Any, dict[str, Any]]]] = {
     "jelly": lambda: (_demo("jelly"), {"driver": "fused"}),
     "surfaces": lambda: (_cloth(surface_collision=True), {}),
     "box": lambda: (_box(), {}),

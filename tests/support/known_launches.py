@@ -5,6 +5,7 @@ Of its two loops the second is as long as a field says, which one thread reads i
 
 import json
 import sys
+from collections.abc import Callable
 
 import numpy as np
 
@@ -21,7 +22,7 @@ class Known:
 
     def __init__(self):
         self.a, self.n = ti.field(ti.f32, N), ti.field(ti.i32, ())
-        self.work = {
+        self.work: dict[str, Callable[[], object]] = {
             "nothing": lambda: None,
             "launched": self.loops,
             "synced": lambda: (self.loops(), ti.sync(), ti.sync()),
@@ -43,7 +44,7 @@ class Known:
         return self.a[0]
 
     @ti.kernel
-    def copied(self, out: ti.types.ndarray()):
+    def copied(self, out: ti.types.ndarray()):  # type: ignore[valid-type]
         for i in range(N):
             out[i] = self.a[i]
 

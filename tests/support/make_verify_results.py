@@ -1,4 +1,4 @@
-"""Writes what `taichi-sim verify` compares with: python tests/support/make_verify_results.py"""
+"""Writes what `taichi-sim verify` compares with, by `python tests/support/make_verify_results.py`."""
 
 import json
 from pathlib import Path

@@ -69,7 +69,9 @@ class Clusters:
     def energy(self, sim: ts.Simulation) -> np.ndarray:
         """Kinetic energy (PLACES,) [J], spin included."""
         m = np.where(self.scene.pinned, 0.0, self.scene.mass)
-        v, surface = np.sum(sim.velocity**2, axis=1), np.sum(sim.snapshot().surface_speed ** 2, axis=1)
+        surface_speed = sim.snapshot().surface_speed
+        assert surface_speed is not None
+        v, surface = np.sum(sim.velocity**2, axis=1), np.sum(surface_speed**2, axis=1)
         return np.bincount(self.place, 0.5 * m * (v + (0.5 if self.dim == 2 else 0.4) * surface), PLACES)
 
     def gains(self, sim: ts.Simulation, batches: int) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The scene that the tests of colliders share: every experiment and every target, far apart."""
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from physics_support import vector
@@ -187,7 +188,7 @@ def drum_scene(dim):
     """A pile in a turning drum with a blade."""
     scene = ts.Scene(dim=dim, gravity=vector(dim, 0.0, -G))
     rubber = scene.add_material("rubber", restitution=0.2, friction=0.6)
-    turning = {"rotation_rate": np.degrees(1.5 if dim == 2 else (0.0, 0.0, 1.5)), "material": rubber}
+    turning: dict[str, Any] = {"rotation_rate": np.degrees(1.5 if dim == 2 else (0.0, 0.0, 1.5)), "material": rubber}
     scene.add_collider(ts.Sphere(np.zeros(dim), 0.6, hollow=0.1, **turning))
     blade = vector(dim, 0.6), vector(dim, 0.45)
     scene.add_collider(ts.Capsule(*blade, 0.05, pivot=np.zeros(dim), **turning))

@@ -10,6 +10,7 @@ import hashlib
 import os
 import sys
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -138,7 +139,7 @@ def jelly_on_floor():
     scene = ts.Scene(dim=3, gravity=(0, -10, 0))
     _materials(scene)
     scene.add_wall((0, 1, 0), 0.0, "rubber")
-    solid = {"size": (0.4, 0.3, 0.3), "resolution": (5, 4, 4), "mass": 5.0, "material": "rubber"}
+    solid: dict[str, Any] = {"size": (0.4, 0.3, 0.3), "resolution": (5, 4, 4), "mass": 5.0, "material": "rubber"}
     ts.shapes.jelly(scene, position=(0, 0.1, 0), rotation=(10, 20, 30), **solid)
     return scene, {"dt": 1e-3}
 

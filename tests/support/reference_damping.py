@@ -1,11 +1,10 @@
 """Slow references for the damping of networks."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 from reference import Array, Network, acceleration
 
 
-def run_weakly_split(net: Network, x: ArrayLike, v: ArrayLike, h: float, steps: int) -> tuple[Array, Array]:
+def run_weakly_split(net: Network, x: Array, v: Array, h: float, steps: int) -> tuple[Array, Array]:
     """Verlet as the program runs it where the damping of a network is moderate: each half takes the damping at its beginning, and
     the one before a drift adds by how much that has changed since the one after the last drift began."""
     x, v = np.array(x, dtype=np.float64), np.array(v, dtype=np.float64)

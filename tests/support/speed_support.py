@@ -23,7 +23,7 @@ ORDER = {
 def pair():
     """Two balls on a stretched spring: its length is 1 + STRETCH cos(RATE t)."""
     scene = ts.Scene(dim=2)
-    balls = scene.add_balls([[0, 0], [1 + STRETCH, 0]], radius=0.05)
+    balls = scene.add_balls([(0, 0), (1 + STRETCH, 0)], radius=0.05)
     scene.add_springs([balls], stiffness=STIFFNESS, rest_length=1.0)
     return scene
 

@@ -20,7 +20,7 @@ def forces(scene, x):
     block = np.einsum("m,mi,mj->mij", scene.stiffness - across, along, along) + across[:, None, None] * np.eye(dim)
     matrix = np.zeros((n, dim, n, dim))
     for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-        np.add.at(matrix, (a, slice(None), b), sign * block)
+        np.add.at(matrix.swapaxes(1, 2), (a, b), sign * block)
     for corners, weights, k in zip(scene.bends, scene.bend_weights, scene.held_bending()[0]):
         np.add.at(force, corners, -k * np.outer(weights, weights @ x[corners]))
         for a, wa in zip(corners, weights):

@@ -15,7 +15,7 @@ from taichi_sim.sweeps.subject import subject_of
 from tests.support import sweep_scenes
 
 
-def main(job: str, folder: str, *restitutions: str) -> None:
+def main(name: str, folder: str, *restitutions: str) -> None:
     precision = os.environ.get("TAICHI_SIM_PRECISION", "f32")
     measures = measures_of(["energy.total", "probes.floor.y"], sweep_scenes.heap())
     settings = {"arch": "cpu", "threads": 1, "precision": precision}
@@ -28,9 +28,9 @@ def main(job: str, folder: str, *restitutions: str) -> None:
         if os.environ.get("DIES"):
             os.kill(os.getpid(), signal.SIGKILL)
 
-    Runner._rehearse = seen
+    setattr(Runner, "_rehearse", seen)  # noqa: B010 - a method
     backend.ti.ERROR = backend.ti.DEBUG  # the engine says then what it compiles
-    job = Job(subject, measures, settings, known_by=job, shared=True)
+    job = Job(subject, measures, settings, known_by=name, shared=True)
     rows = run_batch(job, [Point({"restitution": float(one)}) for one in restitutions])
     backend.stop()
     print([(row.measures, row.error, row.compiled) for row in rows])

@@ -11,8 +11,9 @@ from viser import __version__ as version
 from viser import _messages
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
-CAMERA = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 3.0), "look_at": (0.0, 0.0, 0.0)}
+CAMERA: dict[str, Any] = {"wxyz": (1.0, 0.0, 0.0, 0.0), "position": (0.0, 0.0, 3.0), "look_at": (0.0, 0.0, 0.0)}
 CAMERA |= {
     "fov": 1.0,
     "near": 0.01,
@@ -36,7 +37,7 @@ class Page:
         self.starts = 0  # messages on where pages look from at first
         self.size = tuple((CAMERA | own)[name] for name in ("image_width", "image_height"))  # px
         address = url.replace("http://", "ws://").rstrip("/")
-        self.socket = connect(address, subprotocols=[f"viser-v{version}"], max_size=None, compression=None)
+        self.socket = connect(address, subprotocols=[Subprotocol(f"viser-v{version}")], max_size=None, compression=None)
         self.say("ViewerCameraMessage", **CAMERA | own)
         self._thread = threading.Thread(target=self._listen, daemon=True)
         self._thread.start()
@@ -48,6 +49,7 @@ class Page:
     def _listen(self) -> None:
         with suppress(ConnectionClosed):
             for message in self.socket:
+                assert isinstance(message, bytes)
                 self.bytes += len(message)
                 self._take(message)
                 time.sleep(self.slow)

@@ -230,7 +230,7 @@ def test_pinned_balls_take_nothing():
 def test_contact_finding():
     x = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.2], [1.05, 0.1], [3.0, 0.1]])
     radius = np.array([0.01, 0.01, 0.3, 0.3, 0.3])
-    (stick,) = [c for c in ref.stick_contacts(x, radius, [(0, 1)])]  # ball 3 lies beyond the end: not this contact
+    (stick,) = list(ref.stick_contacts(x, radius, [(0, 1)]))  # ball 3 lies beyond the end: not this contact
     assert stick.balls == (2, 0, 1)
     np.testing.assert_allclose([*stick.g, *stick.normal, stick.depth], [1, -0.5, -0.5, 0, 1, 0.1], atol=1e-15)
     assert ref.wrong_stick_distance(x[4], x[0], x[1]) < 0.3  # the line's rule hits two lengths away
