@@ -54,6 +54,7 @@ __all__ = [
 ]
 
 MOST_BODIES = 1_000_000
+METHODS = ("auto", *BUILT_IN_METHODS)
 
 # the shapes a scene file may name, in the order in which they are added
 SHAPES: dict[str, Callable[..., shapes.Shape]] = {
@@ -103,7 +104,7 @@ class Simulation(Strict):
         None,
         "in place of dt: the error allowed in a simulated second, the largest of any ball, as a part of the scene's size [1]",
     )
-    integrator: Literal[("auto", *BUILT_IN_METHODS)] = _key(  # type: ignore[valid-type]
+    integrator: Literal[METHODS] = _key(  # type: ignore[valid-type]
         VERLET.name, "the method; auto: verlet, or an implicit one with its step where that takes far less time"
     )
     precision: Literal["f32", "f64"] = _key("f32", "of the numbers: f32 single, f64 double")

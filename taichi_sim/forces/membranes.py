@@ -23,8 +23,8 @@ class Membranes(Corners):
     gather. On one thread explicit methods add these in the same order to the balls instead, in `sum`, and read copies of places
     and velocities, `padded`, with a fourth number: a register holds them, and the loop takes half of the time.
 
-    Fields: `triangle`, one row each; `force` (3 t) [N], `given` (3 t): forces and products on the corners of each; `state`:
-    F by its columns u and v, and S + T.
+    Fields: `triangle`, one row each, with moduli times A; `force` (3 t) [N], `given` (3 t): forces and products on the corners of
+    each; `state`: F by its columns u and v, and A (S + T).
     """
 
     name = "membranes"
@@ -38,8 +38,7 @@ class Membranes(Corners):
         data = {name: corners[:, k] for k, name in enumerate("abc")}
         types = dict.fromkeys(data, ti.i32)
         values = {"bu": gradient[:, 1, 0], "bv": gradient[:, 1, 1], "cu": gradient[:, 2, 0], "cv": gradient[:, 2, 1]}
-        values["area"] = area
-        values |= {name: getattr(scene, f"membrane_{name}") for name in ("warp", "weft", "shear", "coupling")}
+        values |= {name: area * getattr(scene, f"membrane_{name}") for name in ("warp", "weft", "shear", "coupling")}
         if self.damped:
             values["damping"] = scene.membrane_damping
         self.triangle = fields.table({**types, **dict.fromkeys(values, real)}, self.count, {**data, **values})
@@ -64,7 +63,7 @@ class Membranes(Corners):
 
     @ti.func
     def _stress(self, strain, of):
-        """Stress (S_uu, S_vv, S_uv) [N/m] of a strain (E_uu, E_vv, 2 E_uv)."""
+        """Stress (S_uu, S_vv, S_uv) times the area [N m] of a strain (E_uu, E_vv, 2 E_uv)."""
         return ti.Vector(
             [
                 of.warp * strain[0] + of.coupling * strain[1],
@@ -75,11 +74,10 @@ class Membranes(Corners):
 
     @ti.func
     def _parts(self, u, v, of):
-        """Forces on the corners by the columns u and v of a stress [N/m]."""
-        bu, bv, cu, cv = -of.area * of.bu, -of.area * of.bv, -of.area * of.cu, -of.area * of.cv
-        b = u * bu + v * bv
-        c = u * cu + v * cv
-        return -(b + c), b, c
+        """Forces on the corners by the columns u and v of a stress times the area [N m]."""
+        b = u * of.bu + v * of.bv
+        c = u * of.cu + v * of.cv
+        return b + c, -b, -c
 
     @ti.func
     def _corner_forces(self, u, v, stress, of):
@@ -109,7 +107,7 @@ class Membranes(Corners):
 
     @ti.func
     def _whole_stress(self, ball: ti.template(), u, v, of):
-        """Stress of the strain, and that of its rate."""
+        """Stress of the strain and of its rate, times the area."""
         stress = self._stress(self._strain(u, v), of)
         if ti.static(self.damped):
             stress += of.damping * self._stress(self._rate(ball, u, v, of), of)
@@ -123,7 +121,6 @@ class Membranes(Corners):
                 self.padded[i].x = padded_blocks.pad(ball[i].x, 3)
                 if ti.static(self.damped):
                     self.padded[i].v = padded_blocks.pad(ball[i].v, 3)
-                self.sum[i] = ti.Vector.zero(float, 4)
             for t in range(self.count):
                 of = self.triangle[t]
                 u, v = self._slope(self.padded[of.a].x, self.padded[of.b].x, self.padded[of.c].x, of)
@@ -133,6 +130,7 @@ class Membranes(Corners):
                 self.sum[of.c] = self.sum[of.c] + c
             for i in range(self.n):
                 impulse[i] = impulse[i] + h * padded_blocks.cut(self.sum[i], 3)
+                self.sum[i] = ti.Vector.zero(float, 4)  # for the next step
         else:
             Corners.accumulate(self, model, ball, impulse, h, time)
 
@@ -155,7 +153,7 @@ class Membranes(Corners):
         of = self.triangle[row.place // 3]
         u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
         strain = self._strain(u, v)
-        return ti.cast(of.area / 6.0, real) * ti.cast(strain.dot(self._stress(strain, of)), real)
+        return ti.cast(strain.dot(self._stress(strain, of)), real) / 6.0
 
     @ti.func
     def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):
@@ -165,7 +163,7 @@ class Membranes(Corners):
             of = self.triangle[row.place // 3]
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
             rate = self._rate(ball, u, v, of)
-            loss = ti.cast(of.area / 6.0 * of.damping, real) * ti.cast(rate.dot(self._stress(rate, of)), real)
+            loss = ti.cast(of.damping / 6.0, real) * ti.cast(rate.dot(self._stress(rate, of)), real)
         return loss
 
     def allocate_derivatives(self, fields: Fields) -> None:
@@ -224,7 +222,7 @@ class Membranes(Corners):
         )
         block += (of.coupling + of.shear) * uv * (u.outer_product(v) + v.outer_product(u))
         pull = state.stress[0] * uu + state.stress[1] * vv + 2.0 * state.stress[2] * uv
-        return of.area * (self._factor(of, s) * block + s * s * pull * ti.Matrix.identity(float, 3))
+        return self._factor(of, s) * block + s * s * pull * ti.Matrix.identity(float, 3)
 
 
 @ti.func
