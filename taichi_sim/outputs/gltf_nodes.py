@@ -108,7 +108,7 @@ class Nodes:
     def add_camera(self, cameras: Sequence[Camera], aspect: float) -> None:
         """Add a camera, by where it is at all frames."""
         first = cameras[0]
-        away = float(np.linalg.norm(np.subtract(first.eye, first.target)))
+        away = first.distance
         view = {"yfov": radians(first.fov), "aspectRatio": aspect, "znear": NEAR * away, "zfar": FAR * away}
         eye = np.array([one.eye for one in cameras])
         axes = np.array([one.axes() for one in cameras]) * [[1.0], [1.0], [-1.0]]  # it looks along -z

@@ -299,7 +299,7 @@ class Stage:
         if self._fov is None:
             self._camera.CreateVerticalApertureAttr(APERTURE)
             self._camera.CreateHorizontalApertureAttr(APERTURE * self._aspect)
-            away = float(np.linalg.norm(np.subtract(camera.target, camera.eye)))
+            away = camera.distance
             self._camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * away, 100.0 * away))
             self._camera.CreateFocusDistanceAttr(away)
         self._fov = camera.fov

@@ -202,7 +202,7 @@ class _Window:
         ball = None if pan or self.player.pointer is None else pick(self.view, self.player.frame, self.cursor)
         if ball is None:
             return
-        self.depth = float(self.view.see(self.player.frame.position[[ball]]).depth[0])
+        self.depth = float(self.view.camera.see(self.player.frame.position[[ball]], self.size).depth[0])
         if self.player.grab(ball, self.view.point(self.cursor, self.depth)):
             self.mode = "pull"
 
@@ -267,7 +267,7 @@ class _Window:
         self._judge(time.perf_counter() - begin)
         self.picture = picture if picture.shape[1] == self.size[0] else _enlarged(picture, self.size)
         if self.player.held is not None:
-            ends = self.view.see(np.stack(self.player.held)).at
+            ends = self.view.camera.see(np.stack(self.player.held), self.size).at
             if np.all(np.isfinite(ends)):
                 overlay.draw_line(self.picture, *map(tuple, ends.tolist()))
         self.drawn, self.stale = frame, False
