@@ -173,10 +173,7 @@ class Assembly:
         self.plan = plan_contacts(
             scene,
             rule,
-            relaxes=settings.integrator.relaxes,
-            reflects=settings.integrator.reflects,
-            late_part=settings.integrator.late_part,
-            friction_part=settings.integrator.friction_part,
+            method=settings.integrator,
             custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
             extra_forces=bool(self.forces.extra),
             iterations=settings.iterations(scene, rule.in_turn),
