@@ -16,6 +16,7 @@ from taichi_sim.common.signals import heard
 from taichi_sim.device.compiling import Expected
 from taichi_sim.forces.pointer import Pointer
 from taichi_sim.outputs.base import Image
+from taichi_sim.overlays.panel import DARK
 from taichi_sim.viewer import overlay
 from taichi_sim.viewer.orbit import pick, view_of
 from taichi_sim.viewer.player import COMMANDS, Player
@@ -119,7 +120,7 @@ class _Screen:
         mac = sys.platform == "darwin"
         pixels[:, :, 3] = 255 if mac else 0
         self.picture: Image = pixels[:, :, :3] if mac else pixels[:, :, 2::-1]
-        self.picture[:] = overlay.PANEL
+        self.picture[:] = DARK.ground[:3]
 
     def say(self, words: str) -> None:
         """Show a line over what is shown, while there is nothing that keys could do. Raises _ClosedError for esc."""
