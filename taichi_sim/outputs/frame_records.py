@@ -86,9 +86,7 @@ class FrameRecords:
 
     def _moment(self, time: float, arrays: dict[str, NDArray]) -> Frame:
         assert self._moments is not None
-        scene = self._moments.scene
-        spin = arrays.get("spin", np.zeros((scene.n_balls, 1 if scene.dim == 2 else 3)))
-        return self._moments.at(time, arrays["position"], arrays["velocity"], spin, arrays.get("torn"))
+        return self._moments.at(time, arrays["position"], arrays["velocity"], arrays.get("spin"), arrays.get("torn"))
 
     def _free(self, time: float, arrays: dict[str, NDArray]) -> Frame:
         centres, rotations = arrays.pop("centres", None), arrays.pop("rotations", None)
