@@ -195,7 +195,7 @@ def _overlap(scene: Scene, setup: Setup) -> Iterator[Finding]:
     """A soft contact lets go of a part LEAK of its impulse F h in each pass and pushes out PUSH of its depth: they balance at
     the depth h^2 F LEAK / (SOFT PUSH m). F is the weight of the layers above."""
     g = _gravity(scene)
-    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    loose = scene.loose()
     if setup.give == 0.0 or g == 0.0 or np.count_nonzero(loose) < 2:
         return
     radius = float(np.median(scene.radius[loose]))

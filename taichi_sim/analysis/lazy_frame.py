@@ -66,15 +66,15 @@ class MomentsOf:
         self._last_torn: Any = None
 
     def at(
-        self, time: float, position: NDArray, velocity: NDArray, spin: NDArray, torn: NDArray[np.bool_] | None
+        self, time: float, position: NDArray, velocity: NDArray, spin: NDArray | None, torn: NDArray[np.bool_] | None
     ) -> Moment:
-        """The frame of a moment [s] by its positions (n, dim) m, velocities (n, dim) m/s, angular velocities (n, 1 or 3) 1/s and
-        the springs (m,) that have torn, or None."""
+        """The frame of a moment [s] by its positions (n, dim) m, velocities (n, dim) m/s, angular velocities (n, 1 or 3) 1/s, or
+        None for 0, and the springs (m,) that have torn, or None."""
         scene = self.scene
         springs, sticks, triangles, torn_springs, torn_triangles = self._shown(position, torn)
         return Moment(
             scene,
-            spin,
+            np.zeros((scene.n_balls, 1 if scene.dim == 2 else 3)) if spin is None else spin,
             torn,
             time=time,
             position=position,

@@ -2,11 +2,19 @@
 
 from math import log2, nan
 
-__all__ = ["LEAST_RATIO", "error_from", "error_of_events", "error_of_three"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LEAST_RATIO", "error_from", "error_of_events", "error_of_three", "rms"]
 
 SAFETY = 1.25  # of an error told by three results (Roache, Verification and Validation in Computational Science, 1998)
 EVENTS = 3.0  # times the largest error that differences show: the factor of safety where no order is seen (Roache 1998)
 LEAST_RATIO = 1.25  # of differences at successive halvings, below which no order is seen
+
+
+def rms(values: NDArray[np.float64]) -> float:
+    """Root of the mean square; 0 of nothing."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def error_from(difference: float, order: float) -> float:

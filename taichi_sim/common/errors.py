@@ -104,6 +104,11 @@ class UnstableError(RuntimeError):
     def __str__(self) -> str:
         return str(self.args[0])
 
+    @property
+    def reason(self) -> str:
+        """Words on what happened, without those on the state that is kept."""
+        return str(self).split("; the last good")[0]
+
 
 @contextmanager
 def about(place: str) -> Iterator[None]:

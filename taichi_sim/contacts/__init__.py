@@ -2,8 +2,7 @@
 
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.contacts.gauss_seidel import GaussSeidel
-from taichi_sim.contacts.jacobi import Jacobi
-from taichi_sim.contacts.sum import Sum
+from taichi_sim.contacts.jacobi import Jacobi, Sum
 
 __all__ = ["CONTACT_RULES", "ContactRule"]
 

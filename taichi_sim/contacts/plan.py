@@ -65,10 +65,7 @@ def plan_contacts(
     scene: Scene,
     rule: Any,
     *,
-    relaxes: bool,
-    reflects: bool,
-    late_part: float,
-    friction_part: float,
+    method: Any,
     custom_method: bool,
     extra_forces: bool,
     iterations: int,
@@ -76,8 +73,8 @@ def plan_contacts(
     atomic: bool,
     serial: bool,
 ) -> ContactPlan:
-    """The plan of a scene whose contacts a ContactRule solves. relaxes, reflects, late_part, friction_part, custom_method: of
-    the integrator; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have
+    """The plan of a scene whose contacts a ContactRule solves. method: an Integrator; custom_method:
+    it is no built-in one; extra_forces: there are others than gravity and springs; parallel: as many threads as balls are to have
     work."""
     reasons: list[str] = []
     chosen: dict[str, Any] = {}
@@ -137,7 +134,7 @@ def plan_contacts(
     )
     soft = decide(
         "soft",
-        rule.softens and gravity and pairs and relaxes,
+        rule.softens and gravity and pairs and method.relaxes,
         "gravity, pairs, and a method that takes back what pushing out adds; a rigid contact is exact for two balls",
     )
     impacts_in_turn = decide(
@@ -155,11 +152,15 @@ def plan_contacts(
     bounces = decide("bounces", impacts_in_turn and restitution, "impacts in turn, and a material with restitution")
     decide(
         "reflects",
-        walls and restitution and pulls and reflects,
+        walls and restitution and pulls and method.reflects,
         "walls, restitution, forces that change within a step, and a method that asks for them at its end",
     )
     at_search = decide("at_search", bounces and pulls, "bounces, and forces that change within a step")
-    decide("throws_back", at_search and reflects, "at_search, and a method that asks for forces at the end of a step")
+    decide(
+        "throws_back",
+        at_search and method.reflects,
+        "at_search, and a method that asks for forces at the end of a step",
+    )
     decide(
         "foresees",
         impacts_in_turn and soft and not bounces,
@@ -172,7 +173,7 @@ def plan_contacts(
     )
     decide(
         "marks_bounces",
-        (bounces or throws) and pulls and reflects,
+        (bounces or throws) and pulls and method.reflects,
         "pairs that bounce, forces that change within a step, and a method that asks for them at its end",
     )
     mass = scene.mass[~scene.pinned]
@@ -199,8 +200,8 @@ def plan_contacts(
     chosen["skin"] = SKIN if chosen["skin"] else 0.0
     return ContactPlan(
         **chosen,
-        late_part=late_part,
-        friction_part=friction_part,
+        late_part=method.late_part,
+        friction_part=method.friction_part,
         iterations=iterations,
         atomic=atomic and not gathers,
         serial=serial,

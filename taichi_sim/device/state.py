@@ -26,6 +26,7 @@ class State:
         scene = model.scene
         self.order = order
         self.n, self.dim = model.n, model.dim
+        self.turn = 1 if model.dim == 2 else 3  # components of an angular velocity
         phase = phase_type(model.dim, fields.real)
         self.ball = fields.table(phase, self.n, {"x": scene.position, "v": scene.velocity})
         self.compensated = compensated
@@ -75,9 +76,10 @@ class State:
         if self.compensated:
             self._copy_in(self.low, *(low or (np.zeros_like(x), np.zeros_like(v))))
 
-    def write_spin(self, spin: np.ndarray) -> None:
-        """Replace radius times angular velocity (n, 1 or 3) [m/s]; 0 where balls do not spin."""
+    def write_spin(self, spin: np.ndarray | None = None) -> None:
+        """Replace radius times angular velocity (n, 1 or 3) [m/s]; None: by 0."""
         if self.spins:
+            spin = np.zeros((self.n, self.turn)) if spin is None else spin
             stored = spin if self.order is None else spin[self.order]
             if self.still is not None:
                 stored = np.where(self.still[:, None], 0.0, stored)
@@ -122,7 +124,6 @@ class State:
     @property
     def surface_speed(self) -> np.ndarray:
         """Radius times angular velocity, (n, 1) in 2D, (n, 3) in 3D [m/s], a copy in float64; 0 where balls do not spin."""
-        width = 1 if self.dim == 2 else 3
         if not self.spins:
-            return np.zeros((self.n, width))
-        return self.values(self.spin).astype(np.float64).reshape(self.n, width)
+            return np.zeros((self.n, self.turn))
+        return self.values(self.spin).astype(np.float64).reshape(self.n, self.turn)

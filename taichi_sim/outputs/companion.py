@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.between_samples import beyond, steps_between
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.analysis.probe_readings import units_of
-from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three
+from taichi_sim.analysis.richardson import error_from, error_of_events, error_of_three, rms
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.common.errors import SceneError, UnstableError
 from taichi_sim.common.quantities import measured, plain_number
@@ -150,15 +150,13 @@ class Companion:
                     with _resumed(again.at_half_step(), start) as once_more:
                         runs.append(self._repeat(once_more, free, advance))
         except UnstableError as error:
-            return StepError(half, why=str(error).split("; the last good")[0], rounded=single)
+            return StepError(half, why=error.reason, rounded=single)
         digit = ROUNDING[simulation.backend.precision]
         steps = max(1.0, (simulation.time - self._start.time) / half * 2.0)  # of the last run, each of which rounds
         offs = [np.linalg.norm(a.place - b.place, axis=1) for a, b in pairwise(runs)]
         place = digit * np.linalg.norm(runs[0].place, axis=1)
-        rms, largest = (
-            _Judge([_rms(off) for off in offs], _rms(place) * sqrt(steps), order),
-            [float(off.max(initial=0.0)) for off in offs],
-        )
+        judge = _Judge([rms(off) for off in offs], rms(place) * sqrt(steps), order)
+        largest = [float(off.max(initial=0.0)) for off in offs]
         energies = [abs(a.energy - b.energy) for a, b in pairwise(runs)]
         least_energy = digit * float(np.abs(energy[:3]).sum())
         hidden, places = _hidden(simulation), {one.name for one in simulation.scene.probes if one.kind in SLOW}
@@ -169,8 +167,8 @@ class Companion:
             probes[name] = _off(values, order, digit, steps, blind, self._tears)
         return StepError(
             half,
-            rms.error(rms.differences) + _rms(place),
-            rms.error(largest) + float(place.max(initial=0.0)),
+            judge.error(judge.differences) + rms(place),
+            judge.error(largest) + float(place.max(initial=0.0)),
             _Judge(energies, least_energy * sqrt(steps), order).error(energies) + least_energy,
             probes,
             rounded=single,
@@ -249,10 +247,6 @@ def _missed(run: Sequence[float] | NDArray, tears: bool) -> tuple[float, float]:
     return beyond(run, int(np.nanargmin(run)), tears), beyond(run, int(np.nanargmax(run)), tears)
 
 
-def _rms(values: NDArray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
-
-
 class _Order(NamedTuple):
     """Order of convergence of a method, at least 1. events: contacts or tearing, which happen somewhere within a step."""
 
@@ -327,7 +321,7 @@ def _off(
     if not all(len(one) for one in apart):
         return nan, nan, nan
     values = [_summed_up(run) for run in runs]
-    judge = _Judge([_rms(one) for one in apart], digit * sqrt(steps) * max(map(abs, values[0])), order)
+    judge = _Judge([rms(one) for one in apart], digit * sqrt(steps) * max(map(abs, values[0])), order)
     if blind and judge.ratio < inf:
         return judge.error(near) + digit * abs(values[0][0]), nan, nan
     ends = [near]

@@ -16,7 +16,7 @@ from taichi_sim.analysis.diagnostics import Energy
 from taichi_sim.analysis.frame import Contacts, Frame, Placed
 from taichi_sim.analysis.lazy_frame import Moment, MomentsOf
 
-__all__ = ["FrameRecords", "PicturePacker", "unpacked_pictures"]
+__all__ = ["FrameRecords", "PicturePacker", "picture_of", "png_of", "unpacked_pictures"]
 
 LENGTH = 4  # bytes that say how long the text is with which a record begins
 KINDS = ("<f4", "<f8", "<i4", "|b1")  # of arrays
@@ -86,9 +86,7 @@ class FrameRecords:
 
     def _moment(self, time: float, arrays: dict[str, NDArray]) -> Frame:
         assert self._moments is not None
-        scene = self._moments.scene
-        spin = arrays.get("spin", np.zeros((scene.n_balls, 1 if scene.dim == 2 else 3)))
-        return self._moments.at(time, arrays["position"], arrays["velocity"], spin, arrays.get("torn"))
+        return self._moments.at(time, arrays["position"], arrays["velocity"], arrays.get("spin"), arrays.get("torn"))
 
     def _free(self, time: float, arrays: dict[str, NDArray]) -> Frame:
         centres, rotations = arrays.pop("centres", None), arrays.pop("rotations", None)
@@ -129,6 +127,22 @@ def _unpacked(listed: Any, data: bytes, begin: int) -> Iterator[tuple[str, NDArr
         raise ValueError("its length does not fit")
 
 
+def png_of(image: NDArray[np.uint8]) -> bytes:
+    """A picture (height, width, 3 or 4) as a PNG, packed quickly."""
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, "PNG", compress_level=1)
+    return file.getvalue()
+
+
+def picture_of(png: bytes) -> NDArray[np.uint8]:
+    """The picture (height, width, 3 or 4) of a PNG."""
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(png), formats=("PNG",)))
+
+
 class PicturePacker:
     """Packs pictures without loss, each as its difference from the one before, those with alpha as PNG."""
 
@@ -138,12 +152,9 @@ class PicturePacker:
     def pack(self, image: NDArray[np.uint8]) -> bytes:
         """The record of a picture (height, width, 3 or 4)."""
         import av
-        from PIL import Image
 
         if image.shape[2] == 4:
-            file = io.BytesIO()
-            Image.fromarray(image).save(file, "PNG", compress_level=1)
-            return file.getvalue()
+            return png_of(image)
         picture = av.VideoFrame.from_ndarray(image, format="rgb24")
         if self._encoder is None:
             self._encoder = encoder = av.CodecContext.create("libx264rgb", "w")
@@ -155,14 +166,13 @@ class PicturePacker:
 def unpacked_pictures(records: Iterable[bytes]) -> Iterator[tuple[int, Any]]:
     """Pictures (height, width, 3 or 4) by the numbers of their records, in order; empty records have none."""
     import av
-    from PIL import Image
 
     decoder = av.CodecContext.create("h264", "r")
     decoder.thread_count = 1
     waiting: deque[int] = deque()
     for number, data in enumerate(records):
         if data.startswith(b"\x89PNG"):
-            yield number, np.asarray(Image.open(io.BytesIO(data), formats=("PNG",)))
+            yield number, picture_of(data)
         elif data:
             waiting.append(number)
             for picture in decoder.decode(av.Packet(data)):

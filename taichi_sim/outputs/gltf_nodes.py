@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs.glb import Glb
 from taichi_sim.outputs.morphed import Morphed
-from taichi_sim.outputs.parts import Body, few_colours
+from taichi_sim.outputs.parts import Body, few_colours, single
 from taichi_sim.outputs.rods import rod
 from taichi_sim.render.camera import Camera
 from taichi_sim.render.palette import to_linear
@@ -108,7 +108,7 @@ class Nodes:
     def add_camera(self, cameras: Sequence[Camera], aspect: float) -> None:
         """Add a camera, by where it is at all frames."""
         first = cameras[0]
-        away = float(np.linalg.norm(np.subtract(first.eye, first.target)))
+        away = first.distance
         view = {"yfov": radians(first.fov), "aspectRatio": aspect, "znear": NEAR * away, "zfar": FAR * away}
         eye = np.array([one.eye for one in cameras])
         axes = np.array([one.axes() for one in cameras]) * [[1.0], [1.0], [-1.0]]  # it looks along -z
@@ -154,7 +154,7 @@ class Nodes:
 
     def _still(self, name: str, vertices: Floats, triangles: NDArray, normals: Floats, material: int) -> int:
         mesh = Morphed(name, 0, np.zeros((len(vertices), 3)))
-        mesh.points, mesh.normals, mesh.faces = [_f32(vertices)], [_f32(normals)], [triangles]
+        mesh.points, mesh.normals, mesh.faces = [single(vertices)], [single(normals)], [triangles]
         return mesh.add_to(self._glb, material, None, None)
 
     def _material(self, name: str, colour: Any, image: Path | None = None) -> int:
@@ -183,11 +183,7 @@ class Nodes:
 def _at(place: Floats, turn: Floats | None = None, scale: Floats | None = None) -> dict[str, Any]:
     """Keys of a node that place it."""
     found = {"translation": place, "rotation": turn, "scale": scale}
-    return {key: _f32(value).tolist() for key, value in found.items() if value is not None}
-
-
-def _f32(values: Any) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
+    return {key: single(value).tolist() for key, value in found.items() if value is not None}
 
 
 def _shares(colour: Floats) -> NDArray[np.uint16]:

@@ -29,6 +29,7 @@ __all__ = [
     "in_3d",
     "normals_of",
     "placed",
+    "single",
     "textures_of",
 ]
 
@@ -227,6 +228,11 @@ def few_colours(colour: Floats) -> tuple[Floats, NDArray[np.int64]]:
     count = np.maximum(np.bincount(kind), 1)[:, None]
     means = np.stack([np.bincount(kind, colour[:, k]) for k in range(3)], axis=1) / count
     return means, kind
+
+
+def single(values: Any) -> NDArray[np.float32]:
+    """The values as an array in single precision, in one piece."""
+    return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def textures_of(style: Mapping[str, Any], folder: Path) -> Textures:

@@ -8,6 +8,7 @@ from pathlib import Path
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.common.atomic_file import replacing, require_place, sweep
 from taichi_sim.outputs.base import Image, Output, require_folder_place, require_there
+from taichi_sim.outputs.frame_records import png_of
 
 _FRAME = re.compile(r"frame_\d{5,}\.png")
 
@@ -77,14 +78,12 @@ class PngFolder(Output):
         return self._name(index) not in self._there
 
     def write(self, index: int, frame: Frame, image: Image | None) -> None:
-        from PIL import Image as Pictures
-
         assert image is not None
         self.log.open()  # refused where another run writes there
         while self._stale:
             self._stale.pop().unlink(missing_ok=True)
         with replacing(self.path / self._name(index), swept=True) as file:
-            Pictures.fromarray(image).save(file, "PNG", compress_level=1)
+            file.write(png_of(image))
 
     def finish(self) -> None:
         """Raises OSError where a frame was removed meanwhile."""

@@ -107,8 +107,9 @@ class Recording(Sequence[Moment]):
             if not np.all(np.abs(row[name]) <= validation.MOST_MAGNITUDE):  # nan is not
                 says = f"has values that are no numbers, or more than {validation.MOST_MAGNITUDE:g} in magnitude"
                 raise SceneError((name, int(k)), says=says, file=self.path)
-        spin = np.zeros((self.scene.n_balls, 1 if self.scene.dim == 2 else 3))  # no picture shows it
-        frame = self._moments.at(float(row["time"]), row["position"], row["velocity"], spin, row.get("torn"))
+        frame = self._moments.at(
+            float(row["time"]), row["position"], row["velocity"], None, row.get("torn")
+        )  # no picture shows spin
         if "energy" in row:
             frame.energy = tuple(row["energy"].tolist())
         frame.contacts, frame.probes = _contacts(row), {name: float(row[name]) for name in self._probes}

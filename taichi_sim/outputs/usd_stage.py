@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.geometry.spheres import icosphere
-from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d, placed
+from taichi_sim.outputs.parts import Parts, Texture, Textures, few_colours, in_3d, placed, single
 from taichi_sim.outputs.rods import ROD, from_z, rod
 from taichi_sim.outputs.wall_squares import wall_squares
 from taichi_sim.render.camera import Camera, robust_bounds
@@ -96,7 +96,7 @@ class Stage:
             place = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar(
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
             )
-            place.Set(Vt.Vec2fArray.FromNumpy(_f32(one.uv)))
+            place.Set(Vt.Vec2fArray.FromNumpy(single(one.uv)))
         return mesh
 
     def _mesh(self, parent: str, name: str, colour: Any) -> Any:
@@ -172,7 +172,7 @@ class Stage:
         """Show it in sRGB colours, one, or one for each vertex, by displayColor and by a material that reads it; or an image."""
         from pxr import Sdf, UsdGeom, UsdShade
 
-        colour = _f32(to_linear(np.asarray(colour).reshape(-1, 3)))
+        colour = single(to_linear(np.asarray(colour).reshape(-1, 3)))
         one = bool(np.all(colour == colour[:1]))
         shown = prim.CreateDisplayColorPrimvar(UsdGeom.Tokens.constant if one else UsdGeom.Tokens.vertex)
         shown.Set(_vectors(colour[:1] if one else colour))
@@ -299,7 +299,7 @@ class Stage:
         if self._fov is None:
             self._camera.CreateVerticalApertureAttr(APERTURE)
             self._camera.CreateHorizontalApertureAttr(APERTURE * self._aspect)
-            away = float(np.linalg.norm(np.subtract(camera.target, camera.eye)))
+            away = camera.distance
             self._camera.CreateClippingRangeAttr(Gf.Vec2f(0.01 * away, 100.0 * away))
             self._camera.CreateFocusDistanceAttr(away)
         self._fov = camera.fov
@@ -322,14 +322,10 @@ class Stage:
         self._stage.GetRootLayer().Save()
 
 
-def _f32(values: NDArray) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, dtype=np.float32)
-
-
 def _vectors(values: NDArray) -> Any:
     from pxr import Vt
 
-    return Vt.Vec3fArray.FromNumpy(_f32(values).reshape(-1, 3))
+    return Vt.Vec3fArray.FromNumpy(single(values).reshape(-1, 3))
 
 
 def _box(points: NDArray) -> NDArray:

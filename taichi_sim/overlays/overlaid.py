@@ -215,8 +215,8 @@ class Overlaid:
         return panel
 
     def _mark(self, picture: Any, mark: ExpectedPlace, time: float) -> None:
-        place = self._on_picture(mark.at(time))
-        if place is None or not all(-1e4 < one < 1e4 for one in place):
+        place = self.renderer.camera.see(mark.at(time)[None], self.renderer.size).at[0]
+        if not (np.abs(place) < 1e4).all():  # nor behind the eye
             return
         text = self._text
         r, width = 0.6 * text, min(Panel.length(mark.label, text), self.renderer.size[0])
@@ -234,25 +234,12 @@ class Overlaid:
 
     # From metres to pixels ---------------------------------------------------------------------------------------------
 
-    def _focal(self, camera: Camera) -> float:
-        return self.renderer.size[1] / 2 / math.tan(math.radians(camera.fov) / 2)
-
     def _scale(self) -> float:
         """Pixels per metre, in 3D at the target of the camera."""
         camera = self.renderer.camera
         if isinstance(camera, Camera):
-            return self._focal(camera) / float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
+            return camera.focal(self.renderer.size[1]) / camera.distance
         return float(camera.scale)
-
-    def _on_picture(self, point: NDArray[np.float64]) -> tuple[float, float] | None:
-        """Place of a point [m] in the picture, in pixels from its upper left corner; None behind the camera."""
-        camera, (width, height) = self.renderer.camera, self.renderer.size
-        if isinstance(camera, Camera):
-            right, up, depth = camera.axes() @ (point - camera.eye)
-            focal = self._focal(camera)
-            return None if depth <= 0 else (width / 2 + focal * right / depth, height / 2 - focal * up / depth)
-        x, y = (point - camera.low) * camera.scale
-        return float(x), height - float(y)
 
 
 def _is_dark(style: Mapping[str, Any]) -> bool:

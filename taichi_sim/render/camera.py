@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ __all__ = [
     "Bounds",
     "Camera",
     "Flat",
+    "Seen",
     "embedded_vertices",
     "ground_planes",
     "near_boxes",
@@ -40,6 +41,15 @@ NEAR_WALL = 1.2  # sizes of the balls' box: a wall no farther below them is show
 AZIMUTH, ELEVATION, FOV = 32.0, 19.0, 34.0  # degrees; a three-quarter view
 
 
+class Seen(NamedTuple):
+    """Points in a picture: at (k, 2) px from its upper left corner, depth (k,) m along the view, scale (k,) px per m there; nan
+    behind the eye."""
+
+    at: Floats
+    depth: Floats
+    scale: Floats
+
+
 @dataclass(frozen=True, slots=True)
 class Camera:
     """A perspective camera: eye and target in metres, up a direction, fov the vertical angle of view in degrees."""
@@ -60,6 +70,22 @@ class Camera:
             right = np.cross(forward, (0.0, 0.0, -1.0) if abs(forward[2]) < 0.9 else (1.0, 0.0, 0.0))
         right /= np.linalg.norm(right)
         return np.stack([right, np.cross(right, forward), forward])
+
+    @property
+    def distance(self) -> float:
+        """Distance of the eye from the target [m]."""
+        return float(np.linalg.norm(np.subtract(self.eye, self.target)))
+
+    def focal(self, height: float) -> float:
+        """Pixels of a metre at a depth of one metre, in a picture so high [px]."""
+        return height / 2 / math.tan(math.radians(self.fov) / 2)
+
+    def see(self, points: Floats, size: tuple[int, int]) -> Seen:
+        """Places of points (k, 3) [m] in a picture of a size (width, height) [px]."""
+        local = (points - np.asarray(self.eye)) @ self.axes().T
+        depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
+        scale = self.focal(size[1]) / depth
+        return Seen(np.array(size) / 2 + local[:, :2] * [1, -1] * scale[:, None], depth, scale)
 
     def aside(self, right: float, up: float) -> "Camera":
         """Camera with its eye so far [m] aside, towards the same target."""
@@ -124,6 +150,12 @@ class Flat:
 
     low: tuple[float, float]
     scale: float
+
+    def see(self, points: Floats, size: tuple[int, int]) -> Seen:
+        """Places of points (k, 2) [m] in a picture of a size (width, height) [px]; all are as deep."""
+        at = (points - np.asarray(self.low)) * self.scale
+        at[:, 1] = size[1] - at[:, 1]
+        return Seen(at, np.zeros(len(at)), np.full(len(at), self.scale))
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,12 +207,11 @@ class Renderer3D:
 
     def _view(self, width: int, height: int) -> NDArray[np.float32]:
         eye = (np.asarray(self.camera.eye) - self._origin) / self._unit
-        focal = height / 2 / math.tan(math.radians(self.camera.fov) / 2)
-        return view_matrix(self.camera.axes(), eye, focal, (width / 2, height / 2))
+        return view_matrix(self.camera.axes(), eye, self.camera.focal(height), (width / 2, height / 2))
 
     def _spare(self, view: NDArray[np.float32]) -> None:
         """Bound the work where balls share one spot and their spheres would be drawn over each other endlessly."""
-        distance = self._distance / self._unit
+        distance = self.camera.distance / self._unit
         shadow = (self._canvas.shadow_size * self._unit / self._bounds.size) ** 2 if self._shadow else 0.0
         per_square = float(view[3, 0] / distance) ** 2  # px for a unit square at the target
         tests = self._canvas.samples + shadow / per_square  # for a px of disc
@@ -234,7 +233,7 @@ class Renderer3D:
         most `most` [m] from the camera's target: a ball flung away farther would leave no detail to all others' shadows."""
         step = max(1, len(frame.position) // 4096)
         bounds = robust_bounds(frame.position[::step], frame.radius[::step])[0]
-        near = near_boxes(frame, bounds, IN_SIGHT * self._distance)
+        near = near_boxes(frame, bounds, IN_SIGHT * self.camera.distance)
         points = np.concatenate([bounds.low[None], bounds.high[None], near, embedded_vertices(frame, bounds)])
         target = np.asarray(self.camera.target)
         return Bounds(
@@ -242,15 +241,10 @@ class Renderer3D:
         )
 
     @property
-    def _distance(self) -> float:
-        """Distance of the camera from its target [m]."""
-        return float(np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)))
-
-    @property
     def _sight(self) -> float:
         """Distance [m] from the camera's target to which shadows reach: that of the camera, but no less than the size of the
         scene at its start."""
-        return max(self._distance, self._unit)
+        return max(self.camera.distance, self._unit)
 
     def _cast_shadows(self, frame: Frame) -> NDArray[np.float32]:
         """Draw the shadow map; return its view, which covers the bounds."""

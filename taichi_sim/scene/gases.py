@@ -61,8 +61,7 @@ class GasMethods:
             where = f": the edge from ball {start} to {end} has {'one' if many == 1 else many}" if len(t) else ""
             says = f"must close a volume, with two triangles, turned alike, at every edge{where}"
             raise SceneError("gases.triangles", says=says)
-        a, b, c = (self.position[t[:, k]] - self.position[t[0, 0]] for k in range(3))
-        present = float(np.einsum("ti,ti->", a, np.cross(b, c))) / 6.0
+        present = enclosed(self.position, t)
         if present <= 0.0:
             says = f"enclose {present:.4g} m^3; give them counter-clockwise seen from outside"
             raise SceneError("gases.triangles", says=says)

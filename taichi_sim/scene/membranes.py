@@ -11,8 +11,9 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
 from taichi_sim.scene.columns import Column
 from taichi_sim.scene.part import Columns, Element, Quadratic
+from taichi_sim.scene.solids import shape_gradients
 
-__all__ = ["MEMBRANES", "MembraneMethods", "flattened", "require_coupling"]
+__all__ = ["MEMBRANES", "MembraneMethods", "flattened", "require_coupling", "shape_gradients"]
 
 Floats = NDArray[np.float64]
 ROOM = 1.5  # times the stiffness at rest: what a sheet has that is stretched by a seventh
@@ -96,13 +97,6 @@ def flattened(x: Floats, direction: Floats | None = None) -> Floats:
     u = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
     axes = np.stack([u, np.cross(normal, u)], axis=2)
     return np.einsum("tki,tia->tka", x - x[:, :1], axes)
-
-
-def shape_gradients(rest: Floats) -> tuple[Floats, Floats]:
-    """Gradients (t, 3, 2) [1/m] of the linear functions that are 1 at a corner, and areas (t,) [m^2], of triangles at rest."""
-    edges = np.swapaxes(rest[:, 1:] - rest[:, :1], 1, 2)
-    inverse = np.linalg.inv(edges)
-    return np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), 0.5 * np.linalg.det(edges)
 
 
 class _Membranes(Columns, Element):

@@ -173,10 +173,7 @@ class Assembly:
         self.plan = plan_contacts(
             scene,
             rule,
-            relaxes=settings.integrator.relaxes,
-            reflects=settings.integrator.reflects,
-            late_part=settings.integrator.late_part,
-            friction_part=settings.integrator.friction_part,
+            method=settings.integrator,
             custom_method=type(settings.integrator) not in BUILT_IN,  # it may move balls unseen
             extra_forces=bool(self.forces.extra),
             iterations=settings.iterations(scene, rule.in_turn),
@@ -314,11 +311,9 @@ class Assembly:
 
     def resume(self, from_: Snapshot) -> None:
         """Put the state back; `prime` is due."""
-        n = len(from_.position)
         x, v = from_.low_position, from_.low_velocity
         self.state.write(from_.position, from_.velocity, None if x is None or v is None else (x, v))
-        speed = from_.surface_speed
-        self.state.write_spin(np.zeros((n, 1 if self.model.dim == 2 else 3)) if speed is None else speed)
+        self.state.write_spin(from_.surface_speed)
         if self.tearing is not None:
             self.tearing.tear(from_.torn)
         if self.received is not None:

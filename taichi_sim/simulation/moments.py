@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.device.model import phase_type
 from taichi_sim.device.state import State
 from taichi_sim.integrators.base import Integrator
 
 __all__ = ["KEPT", "LIVE", "Moments", "named", "unnamed"]
 
 LIVE, KEPT = -1, 0  # the present fields; the first that is stored: the last state known to be good
-LINK, FIRST = 1, 2  # numbers of these tables of pairs
 
 
 @ti.data_oriented
@@ -32,87 +30,75 @@ class Moments:
     ) -> None:
         self.state, self.integrator, self.serial, self.moments = state, integrator, serial, count
         self.n = state.n
-        live = [state.ball]
-        live += [state.low] if state.compensated else []
-        live += [state.spin] if state.spins else []
-        self.first = len(live)  # of a method's memory
-        live += integrator.memory()
-        self.count = len(live)
-        self.live, self.stored = live, [self._like(field, fields) for field in live]  # moment k from k n on
+        self.live = [state.ball]
+        self.live += [state.low] if state.compensated else []
+        self.live += [state.spin] if state.spins else []
+        self.first = len(self.live)  # of a method's memory
+        self.live += integrator.memory()
+        self.count = len(self.live)  # of tables of balls; what contacts hold follows
         warm = contacts.plan.warm_starts
         self.pairs, self.sticks = (contacts.pairs, contacts.sticks) if warm else (None, None)
         self.walls, self.has_walls = contacts.walls, contacts.walls is not None
-        self.held = self._held(contacts)
-        self.held_stored = [_like_table(field, count, fields) for field in self.held]
-        self.sizes = [field.shape[0] for field in self.held]
+        self._hold(contacts)
+        self.sizes = [self.n if k < self.count else field.shape[0] for k, field in enumerate(self.live)]
+        # moment k of a table from k times its size on
+        self.stored = [_like(field, count * size, fields) for field, size in zip(self.live, self.sizes)]
         self.scaled = [
-            [name for name in ("impulse", "tangential_impulse", "load") if name in getattr(f, "keys", [])]
-            for f in self.held
+            [name for name in ("impulse", "tangential_impulse", "load") if name in getattr(field, "keys", [])]
+            for field in self.live
         ]
         self.whole = {f"counter.{k}": field for k, field in enumerate(integrator.counters())}  # stored as they are now
         self.h = [0.0] * (count + 1)
 
-    def _like(self, field: Any, fields: Fields) -> Any:
-        n = self.moments * self.n
-        if isinstance(field, ti.StructField):
-            return fields.table(phase_type(self.state.dim, fields.real), n)
-        return fields.vectors(n, field.n) if hasattr(field, "n") else fields.reals(n)
-
-    def _held(self, contacts: ContactRule) -> list[Any]:
-        """Fields that say what contacts hold."""
-        found: list[Any] = []
+    def _hold(self, contacts: ContactRule) -> None:
+        """Append the fields that say what contacts hold."""
         # by number of a table: that of how much of it is used, beyond what always is
         self.lists: dict[int, tuple[int, int]] = {}
+        self.pieces: tuple[int, ...] = ()  # numbers of the links of pairs and of where each ball's begin
         if self.pairs is not None:
-            self.lists[LINK] = (0, self.pairs.pool_start)
-            found += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
+            used, link, first = range(self.count, self.count + 3)
+            self.lists[link], self.pieces = (used, self.pairs.pool_start), (link, first)
+            self.live += [self.pairs.used, self.pairs.link, self.pairs.first, self.pairs.touching]
         if self.sticks is not None:
-            self.lists[len(found) + 1] = (len(found), 0)
-            found += [self.sticks.used, self.sticks.contact, self.sticks.begin, self.sticks.length]
+            self.lists[len(self.live) + 1] = (len(self.live), 0)
+            self.live += [self.sticks.used, self.sticks.contact, self.sticks.begin, self.sticks.length]
         if contacts.walls is not None:
-            found.append(contacts.walls.contact)
+            self.live.append(contacts.walls.contact)
             if contacts.walls.has_colliders:
-                found += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.filled]
-        return found
+                self.live += [contacts.walls.collider_contacts.slot, contacts.walls.collider_contacts.filled]
 
     @ti.func
     def _entries(self, k: ti.template(), tables: ti.template(), moment):
-        """Number of entries of field k in use: lists have far more room than they need."""
+        """Number of entries of table k in use: lists have far more room than they need."""
         entries = 0 * moment + ti.static(self.sizes[k])
         if ti.static(k in self.lists):
             entries = ti.min(entries, ti.static(self.lists[k][1]) + tables[ti.static(self.lists[k][0])][moment])
         return entries
 
+    @ti.func
+    def _pass(self, out: ti.template(), moment, into: ti.template(), other, ratio, scales: ti.template()):
+        """Copy a moment of the tables `out` into another one of the tables `into`, and scale what contacts hold by a ratio."""
+        for k in ti.static(range(len(self.sizes))):
+            ti.loop_config(serialize=self.serial)
+            for i in range(self._entries(k, out, moment) if ti.static(k in self.lists) else self.sizes[k]):
+                row = out[k][moment * ti.static(self.sizes[k]) + i]
+                if ti.static(scales and "impulse" in self.scaled[k]):
+                    row.impulse = ratio * row.impulse
+                if ti.static(scales and "tangential_impulse" in self.scaled[k]):
+                    row.tangential_impulse = ratio * row.tangential_impulse
+                if ti.static(scales and "load" in self.scaled[k]):
+                    row.load = ratio * row.load
+                into[k][other * ti.static(self.sizes[k]) + i] = row
+
     @ti.kernel
     def _store(self, into: int):
         """Copy the present fields into a moment."""
-        for k in ti.static(range(self.count)):
-            ti.loop_config(serialize=self.serial)
-            for i in range(self.n):
-                self.stored[k][into * self.n + i] = self.live[k][i]
-        for k in ti.static(range(len(self.held))):
-            ti.loop_config(serialize=self.serial)
-            for i in range(self._entries(k, self.held, 0)):
-                self.held_stored[k][into * ti.static(self.sizes[k]) + i] = self.held[k][i]
+        self._pass(self.live, 0, self.stored, into, 1.0, False)
 
     @ti.kernel
     def _load(self, out: int, ratio: float):
         """Copy a moment into the present fields, for a step `ratio` times as long: what rests holds as much more."""
-        for k in ti.static(range(self.count)):
-            ti.loop_config(serialize=self.serial)
-            for i in range(self.n):
-                self.live[k][i] = self.stored[k][out * self.n + i]
-        for k in ti.static(range(len(self.held))):
-            ti.loop_config(serialize=self.serial)
-            for i in range(self._entries(k, self.held_stored, out)):
-                held = self.held_stored[k][out * ti.static(self.sizes[k]) + i]
-                if ti.static("impulse" in self.scaled[k]):
-                    held.impulse = ratio * held.impulse
-                if ti.static("tangential_impulse" in self.scaled[k]):
-                    held.tangential_impulse = ratio * held.tangential_impulse
-                if ti.static("load" in self.scaled[k]):
-                    held.load = ratio * held.load
-                self.held[k][i] = held
+        self._pass(self.stored, out, self.live, 0, ratio, True)
         if ti.static(self.has_walls):  # what they hold is loaded: `prime` is to look at all of it
             ti.loop_config(serialize=self.serial)
             for i in range(self.n):
@@ -121,15 +107,7 @@ class Moments:
     @ti.kernel
     def _copy(self, into: int, out: int):
         """One stored moment into another."""
-        for k in ti.static(range(self.count)):
-            ti.loop_config(serialize=self.serial)
-            for i in range(self.n):
-                self.stored[k][into * self.n + i] = self.stored[k][out * self.n + i]
-        for k in ti.static(range(len(self.held))):
-            ti.loop_config(serialize=self.serial)
-            for i in range(self._entries(k, self.held_stored, out)):
-                size = ti.static(self.sizes[k])
-                self.held_stored[k][into * size + i] = self.held_stored[k][out * size + i]
+        self._pass(self.stored, out, self.stored, into, 1.0, False)
 
     @ti.kernel
     def _remember(self, out: int):
@@ -164,15 +142,13 @@ class Moments:
         use. Lists of pairs are in one piece each, as on a CPU, whatever device they are on."""
         found: dict[str, NDArray] = {}
         for k, field in enumerate(self.stored):
-            found.update(named(f"ball.{k}", field.to_numpy()))
-        for k, field in enumerate(self.held_stored):
             values = self._in_pieces(k, field.to_numpy(), True)
             rows: Any = slice(None)
             if k in self.lists:
                 number, start = self.lists[k]
-                most = min(self.sizes[k], start + int(self.held_stored[number].to_numpy().max()))
+                most = min(self.sizes[k], start + int(self.stored[number].to_numpy().max()))
                 rows = (np.arange(self.moments)[:, None] * self.sizes[k] + np.arange(most)).ravel()
-            found.update(named(f"contact.{k}", values, rows))
+            found.update(named(self._name(k), values, rows))
         for name, field in self.whole.items():
             found.update(named(name, field.to_numpy()))
         return found
@@ -181,21 +157,25 @@ class Moments:
         """Values of `arrays` for each field of those stored here: (field, values). Raises ValueError where they do not fit."""
         if len(h) != len(self.h) or not all(one >= 0.0 for one in h) or not h[KEPT] > 0.0:
             raise ValueError(f"{h} are no lengths of steps")
-        found = [(field, unnamed(f"ball.{k}", field.to_numpy(), arrays)) for k, field in enumerate(self.stored)]
-        for k, field in enumerate(self.held_stored):
+        found = []
+        for k, field in enumerate(self.stored):
             moments = self.moments if k in self.lists else 0
-            values = unnamed(f"contact.{k}", field.to_numpy(), arrays, moments)
+            values = unnamed(self._name(k), field.to_numpy(), arrays, moments)
             found.append((field, self._in_pieces(k, values, False)))
         return found + [(field, unnamed(name, field.to_numpy(), arrays)) for name, field in self.whole.items()]
 
+    def _name(self, k: int) -> str:
+        """Name of table k in files."""
+        return f"ball.{k}" if k < self.count else f"contact.{k - self.count}"
+
     def _in_pieces(self, k: int, values: Any, pieces: bool) -> Any:
         """Table k, where lists of pairs lie side by side (see kernels.contacts.pair_lists), as if they lay in pieces, or back."""
-        if self.pairs is None or not self.pairs.interleaved or k not in (LINK, FIRST):
+        if self.pairs is None or not self.pairs.interleaved or k not in self.pieces:
             return values
         if isinstance(values, Mapping):
             return {name: self._in_pieces(k, column, pieces) for name, column in values.items()}
         each, end = self.pairs.block_capacity, self.pairs.pool_start  # what lies in the pool stays there
-        if k == FIRST:
+        if k == self.pieces[1]:
             return np.where(values < end, values * each if pieces else values // each, values)
         moved = values.reshape(self.moments, -1, *values.shape[1:]).copy()
         shape = (self.moments, each, self.n) if pieces else (self.moments, self.n, each)
@@ -238,13 +218,14 @@ def unnamed(name: str, present: Any, arrays: Mapping[str, NDArray], moments: int
     return values
 
 
-def _like_table(field: Any, times: int, fields: Fields) -> Any:
-    """A field of the same type as a table or one of integers, so many times as long."""
-    n = times * field.shape[0]
-    if not isinstance(field, ti.StructField):
-        return fields.integers(n)
-    members = {name: field.get_member_field(name) for name in field.keys}
-    return fields.table({name: _type(member) for name, member in members.items()}, n)
+def _like(field: Any, n: int, fields: Fields) -> Any:
+    """A field of n entries of the type of another one."""
+    if isinstance(field, ti.StructField):
+        members = {name: field.get_member_field(name) for name in field.keys}
+        return fields.table({name: _type(member) for name, member in members.items()}, n)
+    if hasattr(field, "n"):
+        return fields.vectors(n, field.n)
+    return fields.integers(n) if field.dtype == ti.i32 else fields.reals(n)
 
 
 def _type(member: Any) -> Any:

@@ -187,7 +187,7 @@ class Settings:
 
 def _pile_step(scene: Scene, contacts: Any) -> float:
     """The longest substep [s] with which loose balls lie on each other firmly, should they pile up as wide as they start."""
-    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    loose = scene.loose()
     g = float(np.linalg.norm(scene.gravity))
     if contacts == "off" or np.count_nonzero(loose) < 2 or g == 0.0:
         return math.inf

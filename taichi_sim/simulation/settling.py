@@ -147,7 +147,7 @@ def _damp(simulation: Any, tolerance: float, longest: float, load: float) -> tup
     for stops in range(1, MOST_STOPS + 1):
         at_rest = simulation.position
         simulation.set_velocity(zero)
-        simulation._state.write_spin(np.zeros_like(simulation._state.surface_speed))
+        simulation._state.write_spin()
         simulation.step(1)
         spent += dt
         pushed = simulation.velocity[free]

@@ -264,7 +264,7 @@ class Simulation(Reader):
 
         position, found = settle(simulate, self.position, tolerance, longest)
         if not self._still:
-            self._state.write_spin(np.zeros_like(self._state.surface_speed))
+            self._state.write_spin()
             if self.parts.received is not None:
                 self.parts.received.set(None)
         self._write(position, np.zeros_like(position))

@@ -1,6 +1,5 @@
 """Pictures of a recording, drawn by many processes: each draws frames that follow each other, and one puts them together."""
 
-import io
 import os
 from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -18,6 +17,7 @@ from taichi_sim.common.errors import BackendError, SceneError
 from taichi_sim.common.progress import Counted, showing
 from taichi_sim.outputs import Output, open_outputs
 from taichi_sim.outputs.base import abandon, require_alpha
+from taichi_sim.outputs.frame_records import picture_of, png_of
 from taichi_sim.outputs.recording import Recording
 from taichi_sim.outputs.whole_run import is_drawn_last
 from taichi_sim.studies.workers import MOST_ENDS, connected, forget, kept, place
@@ -138,7 +138,7 @@ def _images(engine: Any, task: tuple[Any, ...], count: int) -> Generator[NDArray
                     ready = drawn.pop(following)
                     following += len(ready)
                     waiting.extend(islice(chunks, 1))
-                    yield from map(_unpacked, ready)
+                    yield from (picture_of(one) if isinstance(one, bytes) else one for one in ready)
     finally:
         forget()
 
@@ -179,14 +179,7 @@ def _draw_chunk(task: tuple[Any, ...], chunk: tuple[int, int], make: Callable[[s
 def _packed_chunk(task: tuple[Any, ...], shared: bool, chunk: tuple[int, int]) -> list[bytes]:
     """Draw a chunk, packed without loss for the way to another process. A worker has one thread, as in a sweep. shared: by
     several workers."""
-    from PIL import Image
-
-    packed = []
-    for image in _draw_chunk(task, chunk, partial(_painter_of_worker, task, shared)):
-        file = io.BytesIO()
-        Image.fromarray(image).save(file, "png", compress_level=1)
-        packed.append(file.getvalue())
-    return packed
+    return [png_of(image) for image in _draw_chunk(task, chunk, partial(_painter_of_worker, task, shared))]
 
 
 def _painter_of_worker(task: tuple[Any, ...], shared: bool, key: str) -> _Painter:
@@ -205,12 +198,3 @@ def _painter_of_worker(task: tuple[Any, ...], shared: bool, key: str) -> _Painte
     if shared:
         compile_once("pictures", key, rehearse)
     return make()
-
-
-def _unpacked(image: bytes | NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture of this process as it is, or one that came packed."""
-    from PIL import Image
-
-    if not isinstance(image, bytes):
-        return image
-    return np.asarray(Image.open(io.BytesIO(image), formats=("PNG",)))

@@ -207,7 +207,7 @@ def sources_of(file: Path) -> str:
 
 def _jitter(scene: Scene, seed: int) -> None:
     """Displace each loose ball a little."""
-    loose = (scene.body == 0) & ~scene.pinned & ~scene.joined()
+    loose = scene.loose()
     if not loose.any():
         says = (
             "would all give one result: scene() takes no argument `seed`, and there is neither a pile nor a loose ball"

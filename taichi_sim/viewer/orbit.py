@@ -5,13 +5,12 @@ Pixels are counted from the top left of the picture, as real numbers: the middle
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
-from taichi_sim.render.camera import Camera, Flat, rotated, triple
+from taichi_sim.render.camera import Camera, Flat, Seen, rotated, triple
 
 TURN = 160.0  # degrees for a drag over the height of the picture
 POLE = 2.0  # degrees: no nearer to the view straight down or up
@@ -22,29 +21,12 @@ REACH = 8.0  # px from which a thin or small thing is still hit
 Floats = NDArray[np.float64]
 
 
-class Seen(NamedTuple):
-    """Points in the picture: at (k, 2) px, depth (k,) m along the view, scale (k,) px per m there; behind the eye nan."""
-
-    at: Floats
-    depth: Floats
-    scale: Floats
-
-
 class Orbit:
     """A camera that turns about its target. size: (width, height) px."""
 
     def __init__(self, camera: Camera, size: tuple[int, int]) -> None:
         self.camera, self.size = camera, size
-        self._first = self._distance
-
-    @property
-    def _distance(self) -> float:
-        return float(np.linalg.norm(np.subtract(self.camera.eye, self.camera.target)))
-
-    @property
-    def _focal(self) -> float:
-        """px for a metre at a depth of one metre."""
-        return self.size[1] / 2 / math.tan(math.radians(self.camera.fov) / 2)
+        self._first = self.camera.distance
 
     def turn(self, dx: float, dy: float) -> None:
         """The scene turns with a drag of dx, dy px: the eye goes round the target, never over its poles."""
@@ -61,31 +43,24 @@ class Orbit:
     def pan(self, dx: float, dy: float) -> None:
         """Move the camera so that points as deep as the target follow a drag of dx, dy px."""
         right, up, _ = self.camera.axes()
-        shift = (dy * up - dx * right) * self._distance / self._focal
+        shift = (dy * up - dx * right) * self.camera.distance / self.camera.focal(self.size[1])
         back = np.subtract(self.camera.eye, self.camera.target)
         self._place(np.asarray(self.camera.target) + shift, back)
 
     def zoom(self, notches: float, at: tuple[float, float]) -> None:
         """Nearer to the target for notches > 0; `at` does not matter here."""
         back = np.subtract(self.camera.eye, self.camera.target)
-        wanted = np.clip(self._distance / NOTCH**notches, self._first / MOST_ZOOM, self._first * MOST_ZOOM)
-        self._place(np.asarray(self.camera.target), back * (wanted / self._distance))
+        wanted = np.clip(self.camera.distance / NOTCH**notches, self._first / MOST_ZOOM, self._first * MOST_ZOOM)
+        self._place(np.asarray(self.camera.target), back * (wanted / self.camera.distance))
 
     def _place(self, target: Floats, back: Floats) -> None:
         eye = target + back
         self.camera = replace(self.camera, eye=triple(eye), target=triple(target))
 
-    def see(self, points: Floats) -> Seen:
-        """Places in the picture of points (k, 3) m."""
-        local = (points - np.asarray(self.camera.eye)) @ self.camera.axes().T
-        depth = np.where(local[:, 2] > 0, local[:, 2], np.nan)
-        scale = self._focal / depth
-        return Seen(np.array(self.size) / 2 + local[:, :2] * [1, -1] * scale[:, None], depth, scale)
-
     def point(self, at: tuple[float, float], depth: float) -> Floats:
         """The point (3,) m at a pixel and a depth."""
         right, up, forward = self.camera.axes()
-        x, y = (np.array(at) - np.array(self.size) / 2) * depth / self._focal
+        x, y = (np.array(at) - np.array(self.size) / 2) * depth / self.camera.focal(self.size[1])
         return np.asarray(self.camera.eye) + right * x - up * y + forward * depth
 
 
@@ -112,12 +87,6 @@ class Slide:
         low = fixed - np.array([at[0], self.size[1] - at[1]]) / scale
         self.camera = Flat(tuple(low.tolist()), scale)
 
-    def see(self, points: Floats) -> Seen:
-        """Places in the picture of points (k, 2) m; all as deep."""
-        at = (points - np.asarray(self.camera.low)) * self.camera.scale
-        at[:, 1] = self.size[1] - at[:, 1]
-        return Seen(at, np.zeros(len(at)), np.full(len(at), self.camera.scale))
-
     def point(self, at: tuple[float, float], depth: float) -> Floats:
         """The point (2,) m at a pixel."""
         return np.asarray(self.camera.low) + np.array([at[0], self.size[1] - at[1]]) / self.camera.scale
@@ -133,7 +102,7 @@ def pick(view: Orbit | Slide, frame: Frame, at: tuple[float, float]) -> int | No
     what is nearest within a few px. Pinned balls are not picked, but hide what lies behind them."""
     if not len(frame.position):
         return None
-    seen = view.see(frame.position)
+    seen = view.camera.see(frame.position, view.size)
     away = np.linalg.norm(seen.at - at, axis=1)
     skin = np.zeros(len(away), dtype=bool)
     skin[frame.triangles.ravel()] = True

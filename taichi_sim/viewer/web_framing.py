@@ -70,8 +70,7 @@ class Framing:
             away = (0.0, 0.0, free[1] / 2 / scale / np.tan(np.radians(FLAT_FOV / 2)))
             seen = Camera(triple(middle + away), triple(middle), fov=FLAT_FOV)
         if self._camera is None:
-            distance = np.linalg.norm(np.subtract(seen.eye, seen.target))
-            aside = panel / height * np.tan(np.radians(seen.fov / 2)) * distance * seen.axes()[0]
+            aside = panel / height * np.tan(np.radians(seen.fov / 2)) * seen.distance * seen.axes()[0]
             seen = replace(seen, eye=triple(seen.eye + aside), target=triple(seen.target + aside))
         eye, target = self._place(np.array([seen.eye, seen.target]))
         return replace(seen, eye=triple(eye), target=triple(target))
@@ -124,7 +123,7 @@ class Framing:
         if not _is_camera(client.camera):
             return
         seen, at = page.given[-1], np.array(client.camera.position)
-        distance = float(np.linalg.norm(np.subtract(page.given[0].eye, page.given[0].target)))
+        distance = page.given[0].distance
         start = self._viser.initial_camera.position
         if min(np.linalg.norm(at - eye) for eye in (start, *(one.eye for one in page.given))) > TURNED * distance:
             return
@@ -178,5 +177,5 @@ def holding(
     back = min(0.0, float(((least - largest) / (right - left)).min()))
     aside = np.clip(0.0, largest + right * back, least + left * back)
     eye = camera.eye + np.array([*aside, back]) @ axes
-    distance = float(np.linalg.norm(np.subtract(camera.eye, camera.target))) - back
+    distance = camera.distance - back
     return camera if distance > most else replace(camera, eye=triple(eye), target=triple(eye + distance * axes[2]))

@@ -16,6 +16,7 @@ from taichi_sim.common.signals import heard
 from taichi_sim.device.compiling import Expected
 from taichi_sim.forces.pointer import Pointer
 from taichi_sim.outputs.base import Image
+from taichi_sim.overlays.panel import DARK
 from taichi_sim.viewer import overlay
 from taichi_sim.viewer.orbit import pick, view_of
 from taichi_sim.viewer.player import COMMANDS, Player
@@ -119,7 +120,7 @@ class _Screen:
         mac = sys.platform == "darwin"
         pixels[:, :, 3] = 255 if mac else 0
         self.picture: Image = pixels[:, :, :3] if mac else pixels[:, :, 2::-1]
-        self.picture[:] = overlay.PANEL
+        self.picture[:] = DARK.ground[:3]
 
     def say(self, words: str) -> None:
         """Show a line over what is shown, while there is nothing that keys could do. Raises _ClosedError for esc."""
@@ -202,7 +203,7 @@ class _Window:
         ball = None if pan or self.player.pointer is None else pick(self.view, self.player.frame, self.cursor)
         if ball is None:
             return
-        self.depth = float(self.view.see(self.player.frame.position[[ball]]).depth[0])
+        self.depth = float(self.view.camera.see(self.player.frame.position[[ball]], self.size).depth[0])
         if self.player.grab(ball, self.view.point(self.cursor, self.depth)):
             self.mode = "pull"
 
@@ -267,7 +268,7 @@ class _Window:
         self._judge(time.perf_counter() - begin)
         self.picture = picture if picture.shape[1] == self.size[0] else _enlarged(picture, self.size)
         if self.player.held is not None:
-            ends = self.view.see(np.stack(self.player.held)).at
+            ends = self.view.camera.see(np.stack(self.player.held), self.size).at
             if np.all(np.isfinite(ends)):
                 overlay.draw_line(self.picture, *map(tuple, ends.tolist()))
         self.drawn, self.stale = frame, False

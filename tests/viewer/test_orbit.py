@@ -27,13 +27,13 @@ def slide() -> Slide:
 def test_a_point_is_seen_where_it_came_from(view):
     depth = 3.0 if isinstance(view, Orbit) else 0.0
     at = (37.0, 81.5)
-    seen = view.see(view.point(at, depth)[None])
+    seen = view.camera.see(view.point(at, depth)[None], view.size)
     assert seen.at[0] == pytest.approx(at)
     assert seen.depth[0] == pytest.approx(depth)
 
 
 def test_the_target_is_in_the_middle_and_what_lies_behind_is_nowhere():
-    seen = orbit().see(np.array([EYE.target, (1.0, 2.0, 9.0), (2.0, 3.0, 3.0)]))
+    seen = EYE.see(np.array([EYE.target, (1.0, 2.0, 9.0), (2.0, 3.0, 3.0)]), orbit().size)
     assert seen.at[0] == pytest.approx([100, 50])
     assert np.isnan(seen.at[1]).all()
     assert seen.at[2, 0] > 100  # right
@@ -65,7 +65,7 @@ def test_panning_takes_the_scene_along(make):
     view = make()
     point = view.point((60.0, 40.0), 5.0)[None]  # as deep as the target
     view.pan(13.0, -8.0)
-    assert view.see(point).at[0] == pytest.approx([73.0, 32.0])
+    assert view.camera.see(point, view.size).at[0] == pytest.approx([73.0, 32.0])
 
 
 def test_zoom():
@@ -78,7 +78,7 @@ def test_zoom():
     fixed = flat.point(at, 0.0)
     flat.zoom(3, at)
     assert flat.camera.scale == pytest.approx(50 * NOTCH**3)
-    assert flat.see(fixed[None]).at[0] == pytest.approx(at)  # what is under the pointer stays there
+    assert flat.camera.see(fixed[None], flat.size).at[0] == pytest.approx(at)  # what is under the pointer stays there
     flat.zoom(100, at)
     assert np.isfinite(flat.camera.scale)
     assert isinstance(view_of(EYE, SIZE), Orbit)
@@ -102,7 +102,7 @@ def test_the_views_agree_with_the_renderer(dim):
             renderer.camera = view.camera
             picture = renderer.render(balls).astype(int)
             red = np.argwhere(picture[:, :, 0] - picture[:, :, 2] > 50)[:, ::-1] + 0.5
-            assert red.mean(axis=0) == pytest.approx(view.see(balls.position).at[0], abs=1.5)
+            assert red.mean(axis=0) == pytest.approx(view.camera.see(balls.position, view.size).at[0], abs=1.5)
         half = renderer.render(balls, coarse=2)
         assert half.shape == ((50, 100, 3) if dim == 3 else (100, 200, 3))
         if dim == 3:  # the same picture, smaller
@@ -134,7 +134,7 @@ def test_picking_surfaces():
     view = orbit()
     corners = [[0, 1, 3], [2, 1, 3], [1, 4, 3], [0, 1, 1], [2, 1, 1], [1, 4, 1], [1, 2, 0]]
     seen = frame(corners, 0.05, triangles=np.array([[3, 4, 5], [0, 1, 2]], dtype=np.int32))
-    at = view.see(np.array([[0.3, 1.2, 3.0], [0.9, 3.2, 3.0], [-0.02, 0.98, 3.0], [-2, 1, 3]])).at
+    at = view.camera.see(np.array([[0.3, 1.2, 3.0], [0.9, 3.2, 3.0], [-0.02, 0.98, 3.0], [-2, 1, 3]]), view.size).at
     assert pick(view, seen, tuple(at[0])) == 0  # the triangle in front, its nearest corner
     assert pick(view, seen, tuple(at[1])) == 2
     assert pick(view, seen, tuple(at[2])) == 0  # just outside

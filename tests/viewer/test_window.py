@@ -16,7 +16,6 @@ from window_support import MISSING, Display, Window
 from taichi_sim import Frame
 from taichi_sim.device.engine import ENGINE
 from taichi_sim.render import Renderer
-from taichi_sim.viewer.orbit import view_of
 from taichi_sim.viewer.window import _ClosedError, _Screen
 
 pytestmark = pytest.mark.once
@@ -55,7 +54,7 @@ def pixels(window: Window) -> np.ndarray:
     _, now = window.frames()[-1]
     frame = Frame(0.0, start, 0 * start, np.full(len(start), 0.1))
     with Renderer(frame, size=SIZE) as renderer:
-        return view_of(renderer.camera, SIZE).see(now).at
+        return renderer.camera.see(now, SIZE).at
 
 
 def saved(window: Window) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.probe_readings import quantity_of
+from taichi_sim.analysis.richardson import rms
 from taichi_sim.reports.speed_error.plan import PARTS, Plan
 from taichi_sim.scene.scene import Scene
 
@@ -17,11 +18,6 @@ Floats = NDArray[np.float64]
 def distance(scene: Scene, a: Floats, b: Floats) -> Floats:
     """Distances (n',) [m] of the balls that are not pinned."""
     return np.linalg.norm((a - b)[~scene.pinned], axis=1)
-
-
-def rms(values: Floats) -> float:
-    """Root of the mean square; 0 of nothing."""
-    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
 def worst(errors: Sequence[Floats]) -> float:

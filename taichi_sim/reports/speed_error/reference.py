@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.between_samples import beyond
 from taichi_sim.analysis.methods import RK4
-from taichi_sim.reports.speed_error.compared import rms, worst
+from taichi_sim.analysis.richardson import rms
+from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import FRAME, PARTS, WORK, Step, fitting, halved, limit, own_step
 from taichi_sim.reports.speed_error.trial_process import Outcome
 from taichi_sim.reports.speed_error.trials import Trials

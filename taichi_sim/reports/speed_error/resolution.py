@@ -5,7 +5,6 @@ compared. Balls that the file names go with it; between two that are pinned or l
 """
 
 import copy
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,16 +17,11 @@ from taichi_sim.analysis.coarse_meshes import ropes
 from taichi_sim.analysis.touching import further_overlap
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.parameters import put
-from taichi_sim.files.toml_reader import Reader
+from taichi_sim.files.toml_reader import Reader, parsed
 from taichi_sim.files.toml_schema import SHAPES
 from taichi_sim.reports.speed_error.command import settled_scene
 from taichi_sim.scene.pins import is_described
 from taichi_sim.scene.scene import Scene
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 LEVELS = 2  # halvings of the spacing
 # what makes a shape the same at every resolution
@@ -93,7 +87,7 @@ def _document(file: Path, parameters: Mapping[str, Any] | None) -> dict[str, Any
         raise SceneError(
             f"--resolutions: {file} is Python, whose shapes have one resolution; a scene file's can be refined"
         )
-    document = tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    _, document = parsed(file)
     for path, value in (parameters or {}).items():
         put(document, path, value)
     for name in BY_HAND:

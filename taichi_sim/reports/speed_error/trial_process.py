@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.between_samples import beyond, steps_between
 from taichi_sim.analysis.methods import named
+from taichi_sim.analysis.richardson import rms
 from taichi_sim.common.errors import BackendError, UnstableError
-from taichi_sim.reports.speed_error.compared import Compared, distance, rms
+from taichi_sim.reports.speed_error.compared import Compared, distance
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, Step
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
@@ -176,7 +177,7 @@ class Track:
                 self._prepare(trial)
                 outcome = self._measure(trial, outcome)
             except UnstableError as error:
-                outcome = outcome._replace(unstable=_reason(error))
+                outcome = outcome._replace(unstable=error.reason)
             except ValueError as error:  # a scene that this method, step or precision cannot take
                 outcome = outcome._replace(left_out=str(error))
         return outcome._replace(warning="; ".join(dict.fromkeys(str(one.message) for one in said)))
@@ -223,7 +224,7 @@ class Track:
                 with peaks.watched(self.duration) if trial.contacts else nullcontext():
                     times.append(self._time(trial.step.number))
             except UnstableError as error:
-                return outcome._replace(seconds=promised, unstable=_reason(error))
+                return outcome._replace(seconds=promised, unstable=error.reason)
             outcome.position.append(self.sim.position)
             outcome.energy.append(tuple(self.sim.energy()))
             if peaks.sizes:
@@ -305,10 +306,6 @@ class _Peaks:
             return float("nan")
         at = int(np.nanargmax(sizes))
         return sizes[at] + beyond(sizes, at)
-
-
-def _reason(error: UnstableError) -> str:
-    return str(error).split("; the last good")[0]
 
 
 def _too_long(seconds: float, most: float) -> str:

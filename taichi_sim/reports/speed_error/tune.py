@@ -2,7 +2,6 @@
 
 import math
 import shutil
-import sys
 from codecs import BOM_UTF8
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -37,11 +36,6 @@ WELL_KNOWN = 4.0  # times better than the tolerance the reference is known
 LIKELY_PASSES = 3.0  # times those that the best has time for that may still win: passes are not all alike
 BY_PRECISION = 2.5  # times the time of the best, which another precision might make up for
 SPARE_TIME = 1.25  # times that of the best so far that a run may take, for noise
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 
 def main(
@@ -251,7 +245,7 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
     The file is replaced whole, or not at all."""
     import tomlkit
 
-    from taichi_sim.files.toml_reader import load_scene
+    from taichi_sim.files.toml_reader import load_scene, tomllib
 
     given = file.read_bytes()
     text = given.decode("utf-8-sig")
