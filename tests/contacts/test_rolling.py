@@ -126,7 +126,6 @@ def test_balls_that_a_brick_joins_do_not_rub_each_other():
         assert sim.angular_momentum()[2] == pytest.approx(before, rel=1e-3)
 
 
-@pytest.mark.once
 @pytest.mark.parametrize(("friction", "loose"), [(MU, True), (0.0, False)])
 def test_loose_balls_turn_where_there_is_friction(friction, loose):
     """A loose ball, a pinned one and two that a spring joins."""

@@ -154,7 +154,7 @@ def row(seconds, error, verdict="stable", step=1e-3, noise=None):
 
 
 def test_an_order_is_that_of_errors_over_steps():
-    """Of errors that fall by 8 as the step is halved, of those with a step that is not half of any; not of the reference's own."""
+    """Of a third order, also between steps of which one is no half of the other; none where the reference is as far off."""
     found = [
         row(1.0, error, step=step) for step, error in ((8e-3, 8.0), (4e-3, 1.0), (3e-3, 1.0 * 0.75**3), (1e-3, 1e-9))
     ]
