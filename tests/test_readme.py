@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_shown
 
 import taichi_sim as ts
 
@@ -71,16 +72,6 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
 SWEEPS = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
 
 
-def run_command(pattern: str, *more: str) -> None:
-    """Run the one command of the page on sweeps that matches, with further options."""
-    from taichi_sim.cli.main import main
-
-    (command,) = re.findall(rf"^taichi-sim {pattern}$", SWEEPS, re.MULTILINE)
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), *more])
-    assert ended.value.code == 0
-
-
 @pytest.mark.long
 def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -90,7 +81,7 @@ def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
     assert len(names["found"]) == 12
     assert not names["found"].failed
     assert float(capsys.readouterr().out) > 0.0
-    run_command(r"(sweep .* -o \w+)", "--workers", "0", "--duration", "0.1", "--quiet")
+    run_shown(SWEEPS, r"(sweep .* -o \w+)", "--workers", "0", "--duration", "0.1", "--quiet")
     assert len(Path("heap_sweep/table.csv").read_text().splitlines()) == 41
 
 
@@ -99,7 +90,7 @@ def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
 def test_the_cloth_of_the_page_on_sweeps_is_found(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     Path("sheet.toml").write_text(re.findall(r"```toml\n(.*?)```", SWEEPS, re.DOTALL)[1])
-    run_command(r"(fit .*)", "--workers", "0")
+    run_shown(SWEEPS, r"(fit .*)", "--workers", "0")
     said = capfd.readouterr().out
     found, told = (
         float(re.search(r"stretch_stiffness = (\S+)", text)[1]) for text in (said, SWEEPS.split("which says")[1])
