@@ -203,6 +203,13 @@ def test_nothing_crosses_an_edge_folded_onto_itself(fold):
     assert (len(bends.corners), len(pairs), len(strength)) == (0, 0, 0)
 
 
+@pytest.mark.parametrize("rigidity", [None, RIGIDITY])
+def test_nothing_bends_beside_a_triangle_without_area(rigidity):
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0.3, 1]])
+    bends, pairs, _ = mesh_bends(Surface(corners, np.array([[0, 3, 1], [0, 1, 2]], dtype=np.int32)), rigidity)
+    assert (len(bends.corners), len(pairs)) == (0, 0)
+
+
 @pytest.mark.parametrize("fold", [3e-5, 9e-5])
 def test_a_fold_that_counts_as_flat_bends_as_a_flat_one_beside_a_large_triangle(fold):
     """A slight fold lifts distant vertices far off the plane of a small triangle, whose edges bend all the same."""
