@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_shown
 
 import taichi_sim as ts
 
@@ -68,40 +69,31 @@ def test_the_page_on_python_runs(tmp_path, monkeypatch, capsys):
     assert len(names["scene"].colliders) == 1
 
 
+SWEEPS = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
+
+
 @pytest.mark.long
 def test_the_page_on_sweeps_runs(tmp_path, monkeypatch, capsys):
-    page = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
     monkeypatch.chdir(tmp_path)
-    Path("heap.toml").write_text(re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[0])
+    Path("heap.toml").write_text(re.findall(r"```toml\n(.*?)```", SWEEPS, re.DOTALL)[0])
     names: dict = {}
-    exec(compile(re.findall(r"```python\n(.*?)```", page, re.DOTALL)[0], "sweeps.md", "exec"), names)
+    exec(compile(re.findall(r"```python\n(.*?)```", SWEEPS, re.DOTALL)[0], "sweeps.md", "exec"), names)
     assert len(names["found"]) == 12
     assert not names["found"].failed
     assert float(capsys.readouterr().out) > 0.0
-    (command,) = re.findall(r"^taichi-sim (sweep .* -o \w+)$", page, re.MULTILINE)
-    from taichi_sim.cli.main import main
-
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), "--workers", "0", "--duration", "0.1", "--quiet"])
-    assert ended.value.code == 0
+    run_shown(SWEEPS, r"(sweep .* -o \w+)", "--workers", "0", "--duration", "0.1", "--quiet")
     assert len(Path("heap_sweep/table.csv").read_text().splitlines()) == 41
 
 
 @pytest.mark.slow
 @pytest.mark.once
 def test_the_cloth_of_the_page_on_sweeps_is_found(tmp_path, monkeypatch, capfd):
-    page = (Path(__file__).parent.parent / "docs" / "sweeps.md").read_text()
     monkeypatch.chdir(tmp_path)
-    Path("sheet.toml").write_text(re.findall(r"```toml\n(.*?)```", page, re.DOTALL)[1])
-    (command,) = re.findall(r"^taichi-sim (fit .*)$", page, re.MULTILINE)
-    from taichi_sim.cli.main import main
-
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), "--workers", "0"])
-    assert ended.value.code == 0
+    Path("sheet.toml").write_text(re.findall(r"```toml\n(.*?)```", SWEEPS, re.DOTALL)[1])
+    run_shown(SWEEPS, r"(fit .*)", "--workers", "0")
     said = capfd.readouterr().out
     found, told = (
-        float(re.search(r"stretch_stiffness = (\S+)", text)[1]) for text in (said, page.split("which says")[1])
+        float(re.search(r"stretch_stiffness = (\S+)", text)[1]) for text in (said, SWEEPS.split("which says")[1])
     )
     assert found == pytest.approx(told, rel=5e-3)
     assert found == pytest.approx(3 * 0.228 * 9.81 * 0.5**4 / (64 * 0.025**3), rel=0.02)  # a flat strip

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import run_shown
 
 import taichi_sim as ts
-from taichi_sim.cli.main import main
 
 pytestmark = pytest.mark.once
 
@@ -35,10 +35,7 @@ def other(text: str, *changes: tuple[str, str]) -> str:
 
 def run(text: str, *more: str) -> None:
     """The recipe's command, with further arguments."""
-    (command,) = re.findall(r"^taichi-sim (run .*)$", text, re.MULTILINE)
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), *more])
-    assert ended.value.code == 0
+    run_shown(text, "(run .*)", *more)
 
 
 @pytest.fixture(autouse=True)

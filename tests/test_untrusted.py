@@ -20,12 +20,12 @@ from taichi_sim.reports.speed_error import command
 from taichi_sim.scene.columns import Table
 from taichi_sim.scene.document import document, fill
 from taichi_sim.scene.parts import PARTS
+from tests.fuzz.state_files import everything
 
 pytestmark = pytest.mark.once
 
 HEAD = "format = 1\ndim = 3\n"
 BALL = "[[balls]]\nposition = [[0, 0, 0]]\nradius = 0.1\n"
-TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
 
 
@@ -351,33 +351,6 @@ def test_what_a_gltf_says_is_bounded(tmp_path):
 
 
 # Arrays and plain values -------------------------------------------------------------------------------------------
-
-
-def everything():
-    scene = ts.Scene(dim=3)
-    scene.add_material("rubber", restitution=0.5, colour=(0.1, 0.2, 0.3))
-    scene.add_balls(
-        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]],
-        radius=0.1,
-        material="rubber",
-        group="a",
-        collides_with="a",
-        pinned=[0],
-    )
-    scene.add_springs([[0, 1], [1, 2]], stiffness=10.0, break_strain=0.5)
-    scene.add_triangles(TETRAHEDRON, collides=True)
-    scene.add_cells([[0, 1, 2, 3]], bulk_modulus=5.0)
-    scene.add_bending([[0, 1, 2, 3]], weights=[[1, -1, 1, -1]], stiffness=1.0)
-    scene.add_embedded_surface([[0, 1], [1, 2], [2, 3]], np.full((3, 2), 0.5), [[0, 1, 2]], colour=(1, 0, 0))
-    scene.add_gas(TETRAHEDRON, pressure=1.0)
-    scene.add_wind((1, 0, 0))
-    scene.add_wall((0, 1, 0), -3.0, material="rubber", collides_with="a")
-    scene.add_moving_pins([3], velocity=(1, 0, 0))
-    scene.add_motor([0], amplitude=0.1, frequency=2.0, phase=90.0)
-    scene.add_collider(ts.Box((9, 0, 0), (1, 1, 1), path=[(0, (0, 0, 0)), (1, (1, 0, 0))]))
-    scene.set_name([0, 1], "ends", uv=[[0, 0], [1, 1]])
-    scene.add_probe("load", "strain", springs=[0, 1])
-    return scene
 
 
 WHOLE = everything()

@@ -5,7 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
-from physics_support import PRECISION, simulate
+from physics_support import PRECISION, box_mesh, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy, contact_loads, sieves
@@ -563,10 +563,7 @@ def test_check_names_edges_that_come_through_cloth_and_the_radius_that_keeps_the
     def found(**cloth):
         scene = ts.Scene(dim=3, gravity=(0, -9.81, 0))
         scene.add_collider(ts.Box((0, 0.2, 0), (0.3, 0.4, 0.5), name="table"))
-        corners = np.array([(x, y, z) for x in (0, 0.2) for y in (0, 0.3) for z in (0, 0.2)])
-        hull = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
-        hull += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
-        scene.add_collider(ts.Mesh((corners, hull), name="brick"))
+        scene.add_collider(ts.Mesh(box_mesh((0.2, 0.3, 0.2), (0.1, 0.15, 0.1)), name="brick"))
         ts.shapes.cloth(scene, size=(1, 1), resolution=(21, 21), surface_collision=True, **cloth)
         return [one for one in sieves.findings(scene) if one[0].startswith("edges")]
 

@@ -399,6 +399,15 @@ def test_strains_of_triangles_and_bricks():
         scene.add_probe("none", "strain", balls=[0, len(x) - 1])
 
 
+def test_what_is_turned_inside_out_is_shorter_than_nothing():
+    """A block that is mirrored: its side that is a tenth too short is as long below nothing."""
+    scene, (_, block, _), x = stretched()
+    scene.add_probe("block", "strain", balls=block)
+    x[block] *= [1.0, -1.0, 1.0]
+    sample = ProbeSample(scene, x, np.zeros_like(x), None, lambda: (0.0,) * 4, np.zeros((0, 3)))
+    assert list(scene.probes[-1].read(sample).values()) == pytest.approx([-1.9] * 3)
+
+
 def test_what_has_torn_has_no_strain():
     scene = ts.Scene(dim=3)
     ts.shapes.cloth(scene, (1.0, 1.0), (2, 2), warp=50.0, break_strain=0.5)

@@ -114,36 +114,37 @@ def energies(scene, x, v, owner):
     return kinetic + np.bincount(owner[i], 0.5 * scene.stiffness * stretch**2, len(kinetic))
 
 
+def checked(scene, **settings):
+    """What `check` says of a scene without contacts."""
+    with simulate(scene, contacts="off", **settings) as sim:
+        return "\n".join(check.lines(sim))
+
+
 def test_check_names_what_limits_and_what_to_do():
     scene = ts.Scene(dim=2, gravity=(0, -10))
     b = scene.add_balls([[0, 0], [1, 0], [2, 0]], radius=0.1)
     scene.add_springs([b[:2], b[1:]], stiffness=[100.0, 1e6])
-    with simulate(scene, dt=1e-3, contacts="off") as sim:
-        text = "\n".join(check.lines(sim))
+    text = checked(scene, dt=1e-3)
     assert "limited by            spring 1, ball " in text
     assert "without spring 1      0.1414 s would be the safe step" in text
     assert "spring 1 alone makes the step 100 times shorter; is its stiffness, or its ball's mass, meant?" in text
     assert "no limit" not in text
-    with simulate(scene, contacts="off", integrator="verlet") as sim:
-        text = "\n".join(check.lines(sim))
-        assert "is 0.4 of that, since a longer one lets large motion of undamped springs" in text
-        rows = {row.split()[0]: row.split() for row in text.splitlines() if row.startswith(("verlet ", "rk4 "))}
+    text = checked(scene, integrator="verlet")
+    assert "is 0.4 of that, since a longer one lets large motion of undamped springs" in text
+    rows = {row.split()[0]: row.split() for row in text.splitlines() if row.startswith(("verlet ", "rk4 "))}
     for passes, row in ((1, rows["verlet"]), (4, rows["rk4"])):  # counted by the steps taken, not by the safe ones
         assert float(row[-1]) == pytest.approx(passes / float(row[-3]), rel=0.01)
     assert float(rows["verlet"][-3]) == pytest.approx(0.4 * float(rows["verlet"][1]), rel=1e-3)
     twin = ts.Scene(dim=2)
     pairs = twin.add_balls([[0, 0], [1, 0], [0, 3], [1, 3]], radius=0.1).reshape(2, 2)
     twin.add_springs(pairs, stiffness=100.0)
-    with simulate(twin, dt=1e-3, contacts="off") as sim:
-        text = "\n".join(check.lines(sim))
+    text = checked(twin, dt=1e-3)
     assert "without spring" not in text
     assert " Hz, is undamped, and this step adds no damping: good" in text
-    with simulate(scene, integrator="implicit_euler", contacts="off") as sim:
-        text = "\n".join(check.lines(sim))
+    text = checked(scene, integrator="implicit_euler")
     assert "any step" in text
     assert "advice                no spring limits the step; choose it by the accuracy you need" in text
-    with simulate(scene, integrator="explicit_euler", dt=1e-3, contacts="off") as sim:
-        assert "gains energy on an undamped spring" in "\n".join(check.lines(sim))
+    assert "gains energy on an undamped spring" in checked(scene, integrator="explicit_euler", dt=1e-3)
 
 
 def test_the_strongest_spring_of_the_busiest_ball_limits_and_not_a_weak_one_beside_it():
@@ -195,13 +196,11 @@ def test_check_of_scenes_whose_cells_limit_the_step():
     scene = ts.Scene(dim=2)
     b = scene.add_balls([[0, 0], [1, 0], [0, 1]], radius=0.1)
     scene.add_cells([b], bulk_modulus=1e6)
-    with simulate(scene, contacts="off") as sim:
-        text = "\n".join(check.lines(sim))
+    text = checked(scene)
     assert "without spring" not in text
     assert "any step is stable, but the error grows with it\n" in text
     scene.add_springs([b[:2], b[1:]], stiffness=100.0, damping=1.0)
-    with simulate(scene, integrator="xpbd", contacts="off") as sim:
-        text = "\n".join(check.lines(sim))
+    text = checked(scene, integrator="xpbd")
     assert "None" not in text
     assert "xpbd is stable at any step" in text
     assert "explicitly" not in text

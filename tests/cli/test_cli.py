@@ -170,23 +170,6 @@ def test_who_stops_reading_gets_no_error(tmp_path, arguments):
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize("module", ["taichi_sim.cli.command", "taichi_sim.common.errors", "typer"])
-def test_ctrl_c_while_the_command_loads_is_no_traceback(tmp_path, module):
-    loading = f"""
-import runpy, sys
-
-class Interrupts:
-    def find_spec(self, name, path=None, target=None):
-        if name == "{module}":
-            raise KeyboardInterrupt
-
-sys.meta_path.insert(0, Interrupts())
-runpy.run_module("taichi_sim", run_name="__main__")
-"""
-    done = subprocess.run([sys.executable, "-c", loading], cwd=tmp_path, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "taichi-sim: interrupted\n")
-
-
 def test_run_writes_arrays_and_a_summary(done):
     folder, (status, out, err) = done[0], done[1]["arrays"]
     assert (status, err) == (0, "")
@@ -482,9 +465,15 @@ def test_cuda_without_a_gpu(folder):
     assert names(folder) == ["ball.toml", "stiff.toml"]
 
 
-@pytest.mark.parametrize("module", ["taichi_sim.common.printable", "typer.main"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_signal_while_the_command_loads_is_no_traceback(tmp_path, module, number):
+INTERRUPTS = [  # module while which is imported, what happens then, and the exit status
+    *((module, "raise KeyboardInterrupt", 130) for module in ("taichi_sim.cli.command", "taichi_sim.common.errors", "typer")),
+    *((module, f"os.kill(os.getpid(), {int(number)})", 128 + number) for module in ("taichi_sim.common.printable", "typer.main")
+      for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("module", "happens", "status"), INTERRUPTS)
+def test_an_interrupt_while_the_command_loads_is_no_traceback(tmp_path, module, happens, status):
     loading = f"""
 import os, runpy, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -493,13 +482,13 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 class Signals:
     def find_spec(self, name, path=None, target=None):
         if name == "{module}":
-            os.kill(os.getpid(), {int(number)})
+            {happens}
 
 sys.meta_path.insert(0, Signals())
 runpy.run_module("taichi_sim", run_name="__main__")
 """
     done = subprocess.run([sys.executable, "-c", loading], cwd=tmp_path, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "taichi-sim: interrupted\n")
+    assert (done.returncode, done.stdout, done.stderr) == (status, "", "taichi-sim: interrupted\n")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes")

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from physics_colliders import ROOM, SHOTS, SPEED, TURNTABLE, G, H, Laboratory, R, block, drum_scene, ring
-from physics_support import DIMS, EPS, F64, METHODS, simulate, vector
+from physics_support import DIMS, EPS, F64, METHODS, box_mesh, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
@@ -220,12 +220,8 @@ def test_what_rolls_on_a_turntable_circles_with_two_sevenths_of_its_speed():
     scene.add_material("rubber", friction=1.0)
     turns = {"material": "rubber", "rotation_rate": (0.0, float(np.degrees(rate)), 0.0)}
     scene.add_collider(ts.Box((0.0, -1.0, 0.0), (10.0, 2.0, 10.0), **turns))
-    corners = np.array([[x, y, z] for x in (-5.0, 5.0) for y in (-2.0, 0.0) for z in (-5.0, 5.0)])
-    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    triangles = np.array([t for a, b, c, d in sides for t in ([a, b, c], [a, c, d])])
-    scene.add_collider(
-        ts.Mesh((corners + np.array([30.0, 0.0, 0.0]), triangles), resolution=16, pivot=(30.0, 0.0, 0.0), **turns)
-    )
+    mesh = box_mesh((10.0, 2.0, 10.0), (30.0, -1.0, 0.0))
+    scene.add_collider(ts.Mesh(mesh, resolution=16, pivot=(30.0, 0.0, 0.0), **turns))
     far = np.array([0.0, 30.0])
     at = np.stack([far + 0.5, [radius] * 2, [0.0] * 2], axis=1)
     scene.add_balls(at, radius=radius, velocity=(0.0, 0.0, -0.5 * rate), material="rubber")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from element_blocks import mesh
-from physics_support import F64, error, simulate
+from physics_support import F64, box_mesh, error, simulate
 
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
@@ -79,24 +79,15 @@ def test_a_fabric_tears_across_and_then_holds_nothing():
     assert stored[-1] < 0.05 * max(stored)
 
 
-def plate(low, high):
-    """Vertices (8, 3) and triangles (12, 3) of a box."""
-    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-    four = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return np.where(corner, high, low), np.array([t for a, b, c, d in four for t in ((a, b, c), (a, c, d))])
-
-
 @pytest.mark.parametrize(("made_of", "radius"), [(ts.Box, 0.04), (ts.Mesh, 0.02), (ts.Mesh, 0.04)])
 def test_balls_slide_over_the_seam_of_two_thin_plates(made_of, radius):
     """Plates thinner than a tenth of a ball: nothing lifts, brakes or lets through what slides across."""
     scene, thick = ts.Scene(dim=3, gravity=(0.0, -10.0, 0.0)), 0.002
     scene.add_material("smooth", restitution=0.4)
     for low, high in ((-1.0, 0.0), (0.0, 1.0)):
-        if made_of is ts.Box:
-            middle = (0.5 * (low + high), -0.5 * thick, 0.0)
-            scene.add_collider(ts.Box(middle, (1.0, thick, 1.0), material="smooth"))
-        else:
-            scene.add_collider(ts.Mesh(plate((low, -thick, -0.5), (high, 0.0, 0.5)), material="smooth"))
+        middle, size = (0.5 * (low + high), -0.5 * thick, 0.0), (1.0, thick, 1.0)
+        placed = (middle, size) if made_of is ts.Box else (box_mesh(size, middle),)
+        scene.add_collider(made_of(*placed, material="smooth"))
     k = np.arange(9)
     x = np.stack([-0.3 - 0.011 * k, np.full(9, radius), 0.1 * (k - 4)], axis=1)
     balls = scene.add_balls(x, radius=radius, velocity=(4.0, 0.0, 0.3), material="smooth", body=3)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from physics_support import F64, each_dim, error, simulate, vector
+from physics_support import F64, box_mesh, each_dim, error, simulate, vector
 
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy
@@ -20,13 +20,6 @@ MU, SPEED = 0.35, 2.5
 METHODS = ("verlet", "rk4", "symplectic_euler", "explicit_euler", "implicit_euler", "tr_bdf2", "xpbd")
 
 
-def slab():
-    """A floor as a mesh: its top is y = 0."""
-    at = np.array([[x, y, z] for x in (-20.0, 20.0) for y in (-2.0, 0.0) for z in (-20.0, 20.0)])
-    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
-    return at, np.array([t for a, b, c, d in sides for t in ([a, b, c], [a, c, d])])
-
-
 def sledges(floor):
     """Each two feet and a load above, joined by springs, which slide along x; one behind the other along z."""
     scene = ts.Scene(dim=3, gravity=(0.0, -G, 0.0))
@@ -34,8 +27,9 @@ def sledges(floor):
     if floor == "wall":
         scene.add_wall((0, 1, 0), 0.0, "rubber")
     else:
-        box = ts.Box((0, -1, 0), (40, 2, 40), material="rubber")
-        scene.add_collider(box if floor == "box" else ts.Mesh(slab(), material="rubber"))
+        middle, size = (0, -1, 0), (40, 2, 40)
+        mesh = ts.Mesh(box_mesh(size, middle), material="rubber")
+        scene.add_collider(ts.Box(middle, size, material="rubber") if floor == "box" else mesh)
     radius, stiffness = 0.04, 1.5e4
     for i, load in enumerate(LOADS):
         at = np.array([(-0.5, radius, i), (0.5, radius, i), (0.0, 0.3, i)])

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from physics_colliders import cube
-from physics_support import F64, simulate
+from physics_support import F64, box_mesh, simulate
 
 import taichi_sim as ts
 
@@ -37,8 +36,7 @@ def test_a_mesh_acts_as_the_box_of_its_shape_and_as_one_seen_in_flight():
     scene.add_material("rubber", restitution=0.7, friction=0.4)
     x, v, surface = shots()
     moves = {"rotation_rate": TURNING, "material": "rubber"}
-    corners, triangles = cube()
-    block = corners * SIZE, triangles
+    block = box_mesh(SIZE)
     scene.add_collider(ts.Box((0, 0, 0), SIZE, velocity=VELOCITY, group="m0", **moves))
     scene.add_collider(ts.Mesh(block, resolution=16, velocity=VELOCITY, group="m1", **moves))
     scene.add_collider(ts.Mesh(block, resolution=16, velocity=VELOCITY + ALONG, group="m2", **moves))

@@ -2,20 +2,13 @@
 
 import numpy as np
 import pytest
-from physics_support import F64, simulate
+from physics_support import F64, box_mesh, simulate
 
 import taichi_sim as ts
 
 H, SPEED = 1 / 300, 6.0
 SIZE = np.array([0.8, 1.2, 1.0])  # m
 STEPS = 70
-
-
-def block():
-    """Vertices (8, 3) and triangles (12, 3) of a block about the origin."""
-    points = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * SIZE
-    four = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    return points, np.array([t for a, b, c, d in four for t in ((a, b, c), (a, c, d))])
 
 
 def strikes():
@@ -40,7 +33,7 @@ def test_impacts_at_edges_and_corners_have_the_direction_from_the_nearest_point(
     for k, (resolution, moves) in enumerate([(16, 0.0), (64, 0.0), (16, 1.3), (64, 1.3)]):
         velocity = np.array([0.4, 1.0, -0.7]) * moves
         scene.add_collider(
-            ts.Mesh(block(), velocity=velocity, resolution=resolution, material="elastic", group=f"m{k}")
+            ts.Mesh(box_mesh(SIZE), velocity=velocity, resolution=resolution, material="elastic", group=f"m{k}")
         )
         time = 0.1 + 0.07 * np.sin(7.0 * np.arange(len(n)))  # of the impact
         down = velocity - [0.0, SPEED, 0.0]

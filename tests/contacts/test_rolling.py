@@ -5,6 +5,8 @@ import pytest
 from physics_support import simulate
 
 import taichi_sim as ts
+from taichi_sim.simulation.choices import turning
+from taichi_sim.simulation.settings import Settings
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -122,3 +124,13 @@ def test_balls_that_a_brick_joins_do_not_rub_each_other():
         before = sim.angular_momentum()[2]
         sim.step(20)
         assert sim.angular_momentum()[2] == pytest.approx(before, rel=1e-3)
+
+
+@pytest.mark.parametrize(("friction", "loose"), [(MU, True), (0.0, False)])
+def test_loose_balls_turn_where_there_is_friction(friction, loose):
+    """A loose ball, a pinned one and two that a spring joins."""
+    scene = ts.Scene(dim=2)
+    scene.add_material("rubber", friction=friction)
+    scene.add_balls([[0, 0], [1, 0], [2, 0], [3, 0]], radius=R, material="rubber", pinned=[1])
+    scene.add_springs([[2, 3]], stiffness=1.0)
+    assert turning(scene, Settings.resolve(scene, {})).tolist() == [loose, False, False, False]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from physics_support import F64, simulate
+from physics_support import F64, box_mesh, simulate
 
 import taichi_sim as ts
 
@@ -103,11 +103,7 @@ def test_nothing_is_felt_of_a_seam_of_meshes_by_balls_of_any_size():
         lifted = points + np.array([0.0, 2 * FAR, 0.0])
         scene.add_collider(ts.Mesh((lifted, triangles), velocity=(-0.2, LIFT, 0.0), material="smooth"))
     scene.add_collider(ts.Box((-0.44, FAR - 0.1, 0.0), (1.0, 0.2, 1.0), material="smooth"))
-    square = np.array([(x, FAR + y, z) for x in (0.06, 0.9) for y in (-0.2, 0.0) for z in (-0.5, 0.5)])
-    four = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    scene.add_collider(
-        ts.Mesh((square, np.array([t for a, b, c, d in four for t in ((a, b, c), (a, c, d))])), material="smooth")
-    )
+    scene.add_collider(ts.Mesh(box_mesh((0.84, 0.2, 1.0), (0.48, FAR - 0.1, 0.0)), material="smooth"))
     lane, r = (part.ravel() for part in np.meshgrid(np.arange(3), np.repeat(radius, 2), indexing="ij"))
     rise = np.where(lane == 2, LIFT, 0.0)
     x = np.stack([-0.35 - 0.1 * r, FAR * lane + r, 0.09 * (np.arange(len(r)) % 2) - 0.03], axis=1)

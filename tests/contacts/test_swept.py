@@ -228,6 +228,16 @@ def test_a_bullet_between_walls_loses_no_time(dim, contacts, method):
             assert np.abs(sim.velocity[0, :2]) == pytest.approx([-ALONG, ASIDE], rel=1e-12 if F64 else 1e-6)
 
 
+def slit(radius, gap, spacing, along, across, restitution, gravity):
+    """Four balls in a row between two walls that are `gap` [m] apart."""
+    scene = ts.Scene(dim=2, gravity=gravity)
+    scene.add_material("m", restitution=restitution)
+    scene.add_wall(across, 0.0, "m")
+    scene.add_wall(-across, -gap, "m")
+    scene.add_balls(np.outer(spacing * np.arange(4.0), along) + 0.5 * gap * across, radius=radius, material="m")
+    return scene
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("contacts", RULES[:2])
 @pytest.mark.long_where(contacts="jacobi")
@@ -237,11 +247,7 @@ def test_bullets_in_a_slit_go_on(contacts):
     r, gap, rng = 0.04, 3.3 * 0.04, np.random.default_rng(8)
     along, across = np.array([0.8, -0.6]), np.array([0.6, 0.8])
     for restitution in (1.0, 0.6):
-        scene = ts.Scene(dim=2, gravity=(0.0, -8.0))
-        scene.add_material("m", restitution=restitution)
-        scene.add_wall(across, 0.0, "m")
-        scene.add_wall(-across, -gap, "m")
-        scene.add_balls(np.outer(2.6 * r * np.arange(4.0), along) + 0.5 * gap * across, radius=r, material="m")
+        scene = slit(r, gap, 2.6 * r, along, across, restitution, (0.0, -8.0))
         start = scene.position
         with simulate(scene, dt=H, substeps=1, contacts=contacts) as sim:
             for _ in range(8):
@@ -269,11 +275,7 @@ def test_a_stick_far_away_gives_bullets_in_a_slit_nothing(contacts):
     r, rng = 0.03, np.random.default_rng(3)
     along, across = np.array([0.6, -0.8]), np.array([0.8, 0.6])
     for restitution, gap in ((1.0, 2.8 * r), (0.7, 3.2 * r)):
-        scene = ts.Scene(dim=2, gravity=(3.0, -7.0))
-        scene.add_material("m", restitution=restitution)
-        scene.add_wall(across, 0.0, "m")
-        scene.add_wall(-across, -gap, "m")
-        scene.add_balls(np.outer(2.4 * r * np.arange(4.0), along) + 0.5 * gap * across, radius=r, material="m")
+        scene = slit(r, gap, 2.4 * r, along, across, restitution, (3.0, -7.0))
         ends = np.outer([-42.0 * r, -41.0 * r], along) + 0.5 * gap * across
         stick = scene.add_balls(ends, radius=0.2 * r, pinned=True, material="m")
         scene.add_springs([stick], stiffness=1e3, collides=True)

@@ -109,6 +109,11 @@ def test_arguments_of_a_python_scene(files):
         ("s.toml", "gravity[³]", r"s\.toml: 'gravity\[³\]' is no path; write it like"),
         ("s.toml", "gravity[\u0660]", "is no path"),
         ("s.toml", "gravity[-2]", "is no path"),
+        (
+            "s.toml",
+            "balls[1].radius",
+            r"balls\[1\]\.radius: is not in this scene; there is balls\[0\]; or, by name, one",
+        ),
         ("s.toml", f"balls[{'7' * 4400}].radius", "is no path"),
         ("s.toml", "gravity[0", "is no path"),
         ("s.toml", "gravity.", "is no path"),

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from physics_support import EPS, F64, simulate
+from physics_support import EPS, F64, box_mesh, simulate
 from scene_files import assert_unchanged
 
 import taichi_sim as ts
@@ -23,7 +23,7 @@ def box(seed: int = 1) -> ts.Scene:
     """A deformed, moving box of 8 balls in 3D with six cells, bending elements, gas and a gusty wind; one ball pinned."""
     rng = np.random.default_rng(seed)
     scene = ts.Scene(dim=3)
-    corner = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], dtype=float)
+    corner, faces = box_mesh(1.0, 0.5)
     balls = scene.add_balls(
         corner, radius=0.1, mass=rng.uniform(0.5, 2.0, 8), velocity=rng.normal(size=(8, 3)), pinned=[7]
     )
@@ -34,20 +34,7 @@ def box(seed: int = 1) -> ts.Scene:
     scene.add_bending(
         [[0, 1, 2, 3], [4, 5, 6, 7], [0, 2, 5, 7]], weights=weights, stiffness=[3.0, 5.0, 1.0], damping=[0.0, 0.2, 0.1]
     )
-    faces = [
-        (0, 1, 3),
-        (0, 3, 2),
-        (4, 6, 7),
-        (4, 7, 5),
-        (0, 4, 5),
-        (0, 5, 1),
-        (2, 3, 7),
-        (2, 7, 6),
-        (0, 2, 6),
-        (0, 6, 4),
-    ]
-    faces += [(1, 5, 7), (1, 7, 3)]
-    scene.add_triangles(balls[np.array(faces)])
+    scene.add_triangles(balls[faces])
     scene.add_gas(faces, pressure=40.0, outside=5.0)
     scene.add_wind((3.0, 1.0, -2.0), gust=0.5, gust_length=0.7)
     scene.set_balls(position=scene.position + rng.normal(size=(8, 3)) * 0.15)

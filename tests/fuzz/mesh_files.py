@@ -1,6 +1,5 @@
 """Meshes in each format."""
 
-import json
 import struct
 
 import numpy as np
@@ -60,12 +59,7 @@ GLTF = {
 
 def glb(header):
     """A binary glTF."""
-    text = json.dumps(header, default=str).encode()
-    text += b" " * (-len(text) % 4)
-    body = VERTICES.tobytes() + FACES.tobytes()
-    size = 12 + 8 + len(text) + 8 + len(body)
-    head = struct.pack("<4sIIII", b"glTF", 2, size, len(text), 0x4E4F534A)
-    return head + text + struct.pack("<II", len(body), 0x004E4942) + body
+    return mesh_zoo.glb(header, VERTICES.tobytes() + FACES.tobytes())
 
 
 OBJ = "".join(f"v {x} {y} {z}\n" for x, y, z in VERTICES) + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in FACES)

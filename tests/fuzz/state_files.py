@@ -28,26 +28,45 @@ class Judged(ts.Simulation):
         snapshot.checked(self.scene)
 
 
-def whole(folder):
-    """The arrays of a state file, and what it says in plain values."""
-    scene = ts.Scene(dim=3, gravity=(0, -10, 0))
-    scene.add_material("rubber", restitution=0.5, colour=(0.2, 0.4, 0.8))
-    scene.add_balls(CORNERS, radius=0.1, material="rubber", pinned=[0], group="a", collides_with=["a", "default"])
-    ts.shapes.rope(scene, (5, 0, 0), (6, 0, 0), n=4)
+def everything():
+    """A tetrahedron of balls with a part of most kinds."""
+    scene = ts.Scene(dim=3)
+    scene.add_material("rubber", restitution=0.5, colour=(0.1, 0.2, 0.3))
+    scene.add_balls(
+        CORNERS,
+        radius=0.1,
+        material="rubber",
+        group="a",
+        collides_with="a",
+        pinned=[0],
+    )
     scene.add_springs([[0, 1], [1, 2]], stiffness=10.0, break_strain=0.5)
-    scene.add_triangles(TETRAHEDRON)
+    scene.add_triangles(TETRAHEDRON, collides=True)
     scene.add_cells([[0, 1, 2, 3]], bulk_modulus=5.0)
     scene.add_bending([[0, 1, 2, 3]], weights=[[1, -1, 1, -1]], stiffness=1.0)
-    scene.add_embedded_surface([[0, 1], [1, 2], [2, 3]], np.full((3, 2), 0.5), [[0, 1, 2]])
-    scene.add_moving_pins([4], velocity=(1, 0, 0))
+    scene.add_embedded_surface([[0, 1], [1, 2], [2, 3]], np.full((3, 2), 0.5), [[0, 1, 2]], colour=(1, 0, 0))
+    scene.add_gas(TETRAHEDRON, pressure=1.0)
     scene.add_wind((1, 0, 0))
-    scene.add_wall((0, 1, 0), -3.0, material="rubber")
+    scene.add_wall((0, 1, 0), -3.0, material="rubber", collides_with="a")
+    scene.add_moving_pins([3], velocity=(1, 0, 0))
+    scene.add_motor([0], amplitude=0.1, frequency=2.0, phase=90.0)
+    scene.add_collider(ts.Box((9, 0, 0), (1, 1, 1), path=[(0, (0, 0, 0)), (1, (1, 0, 0))]))
+    scene.set_name([0, 1], "ends", uv=[[0, 0], [1, 1]])
+    scene.add_probe("load", "strain", springs=[0, 1])
+    return scene
+
+
+def whole(folder):
+    """The arrays of a state file, and what it says in plain values."""
+    scene = everything()
+    scene.gravity = np.array([0.0, -10.0, 0.0])
+    scene.gases.clear()  # what may tear holds none
+    ts.shapes.rope(scene, (5, 0, 0), (6, 0, 0), n=4)
     scene.add_collider(ts.Mesh((CORNERS, TETRAHEDRON), position=(50, 0, 0)))
     scene.add_collider(ts.Sphere((60, 0, 0), 1.0))
     brick = scene.add_balls(np.argwhere(np.ones((2, 2, 2))) + 20.0, radius=0.1)
     scene.add_bricks([brick], young_modulus=9.0, poisson_ratio=0.3)
     scene.add_solids([brick[[0, 1, 2, 4]]], young_modulus=9.0, poisson_ratio=0.3)
-    scene.add_probe("load", "strain", springs=[0, 1])
     with ts.Simulation(scene, dt=1e-3, contacts="off") as simulation:
         simulation.save(folder / "whole.npz")
     with np.load(folder / "whole.npz") as file:

@@ -23,10 +23,9 @@ class Column:
 
     @ti.func
     def add(self, c):
-        size = ti.static(reductions.part_size())
         found = ti.cast(0.0, REAL)
-        for i in range(c * size, ti.min((c + 1) * size, self.number)):
-            found += self.value[i]
+        for k in range(reductions.members(c, self.parts, self.number)):
+            found += self.value[reductions.member(c, k, self.parts)]
         self.sum[c] = found
 
     @ti.kernel

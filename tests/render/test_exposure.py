@@ -5,18 +5,11 @@ import pytest
 from test_render import FRONT, GREEN, RED, balls, linear, picture, placed, project
 
 from taichi_sim import SceneError, Sphere
-from taichi_sim.device import backend
 from taichi_sim.render.exposure import Exposure, Mean
 
 pytestmark = pytest.mark.once
 
 CORNERS = [[-4, -2], [4, 2]]  # of what the picture shows
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _backend():
-    if backend.running() is None:
-        backend.start(arch="cpu")
 
 
 def redness(image):

@@ -7,11 +7,10 @@ import pytest
 from PIL import Image
 from taichi_sim.kernels.render import shading_pass
 from test_embedded_surfaces import frame_of
-from test_render import FRONT, GREEN, RED, SIZE, balls, greenish, linear, picture, placed, reddish
+from test_render import FRONT, GREEN, RED, SIZE, balls, greenish, linear, picture, placed, reddish, sheet
 
 from taichi_sim import Box, Capsule, Mesh, Scene, SceneError, load_scene, shapes
 from taichi_sim.analysis.lazy_frame import MomentsOf
-from taichi_sim.device import backend
 from taichi_sim.files.toml_schema import Output
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
@@ -20,20 +19,6 @@ from taichi_sim.render.stages import STAGES
 from taichi_sim.scene.looks import Look
 
 pytestmark = pytest.mark.once
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _backend():
-    if backend.running() is None:
-        backend.start(arch="cpu")
-
-
-def sheet(n, height):
-    """Vertices and triangles of a square of n x n points, from -1 to 1 in x and z, at heights of (x, z)."""
-    u, v = np.meshgrid(np.linspace(-1, 1, n), np.linspace(-1, 1, n), indexing="ij")
-    i = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    triangles = np.concatenate([np.stack([i, i + 1, i + n], 1), np.stack([i + 1, i + n + 1, i + n], 1)])
-    return np.stack([u, height(u, v), v], axis=-1).reshape(-1, 3), triangles.astype(np.int32)
 
 
 # Sharp edges --------------------------------------------------------------------------------------------------------
@@ -397,13 +382,22 @@ def test_fabrics_shine_and_let_light_through_as_they_do():
     assert rows["denim", 0.9] == pytest.approx((rows["denim", None][0], 0.9))
 
 
+RED_OVER_BLUE = (((255, 0, 0),), ((0, 0, 255),))
+
+
+def image_of(folder, colours):
+    """Path of an image of 60 x 60 px with fields of these colours, row by row."""
+    fields = np.array(colours, dtype=np.uint8)
+    Image.fromarray(fields.repeat(60 // fields.shape[0], axis=0).repeat(60 // fields.shape[1], axis=1)).save(
+        folder / "a.png"
+    )
+    return folder / "a.png"
+
+
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_no_border_of_a_texture_shows_its_opposite_one(tmp_path, repeat):
     """Not in pixels that see the cloth beside their centre, either."""
-    image = np.zeros((60, 60, 3), dtype=np.uint8)
-    image[:30, :, 0] = image[30:, :, 2] = 255
-    Image.fromarray(image).save(tmp_path / "two.png")
-    look = {"of": "flag", "texture": tmp_path / "two.png", "repeat": repeat}
+    look = {"of": "flag", "texture": image_of(tmp_path, RED_OVER_BLUE), "repeat": repeat}
     frame, turn = upright(), np.deg2rad(6)
     frame.position = frame.position @ np.array(
         [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
@@ -418,9 +412,6 @@ def test_no_border_of_a_texture_shows_its_opposite_one(tmp_path, repeat):
 
 def test_a_texture_covers_all_of_a_surface_that_reaches_beyond_its_balls(tmp_path):
     """A square of 1.6 m in front of a cube of balls of 1 m, as the mesh of a jelly may be: no border shows the opposite one."""
-    image = np.zeros((60, 60, 3), dtype=np.uint8)
-    image[:30, :, 0] = image[30:, :, 2] = 255
-    Image.fromarray(image).save(tmp_path / "two.png")
     scene = Scene(dim=3)
     cube = shapes.jelly(scene, size=(1, 1, 1), resolution=(2, 2, 2), position=(-0.5, -0.5, -0.5))
     scene.set_name(cube.balls, "flag")
@@ -430,7 +421,7 @@ def test_a_texture_covers_all_of_a_surface_that_reaches_beyond_its_balls(tmp_pat
     scene.add_embedded_surface(np.tile(cube.balls, (4, 1)), weights, [[0, 1, 2], [0, 2, 3]], colour=(1, 1, 1))
     frame = frame_of(scene)
     frame.objects, frame.embedded_surfaces = tuple(scene.objects), tuple(scene.embedded_surfaces)
-    look = {"of": "flag", "texture": tmp_path / "two.png"}
+    look = {"of": "flag", "texture": image_of(tmp_path, RED_OVER_BLUE)}
     drawn = picture(frame, camera=FRONT, shadow=False, background=(0, 0, 0), looks=[look]).astype(int)
     for column in drawn.transpose(1, 0, 2)[72:88]:
         seen = np.flatnonzero(column.max(axis=1) > 20)
@@ -440,17 +431,19 @@ def test_a_texture_covers_all_of_a_surface_that_reaches_beyond_its_balls(tmp_pat
         assert np.mean(lower[:, 2] > lower[:, 0]) > 0.9
 
 
+def assert_quarters(frame, folder, colours):
+    """A texture of red and green over blue and white shows these, the upper two first, on what is called flag."""
+    texture = image_of(folder, (((255, 0, 0), (0, 255, 0)), ((0, 0, 255), (255, 255, 255))))
+    drawn = picture(frame, camera=FRONT, shadow=False, looks=[{"of": "flag", "texture": texture}]).astype(int)
+    seen = dict(zip(colours, (drawn[row, column] for row in (35, 55) for column in (70, 90))))
+    assert reddish(seen["red"])
+    assert greenish(seen["green"])
+    assert seen["blue"][2] > 1.5 * max(seen["blue"][:2])
+    assert seen["white"].min() > 100
+
+
 def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
-    image = np.zeros((64, 64, 3), dtype=np.uint8)
-    image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), 255
-    Image.fromarray(image).save(tmp_path / "four.png")
-    look = {"of": "flag", "texture": tmp_path / "four.png"}
-    drawn = picture(upright(), camera=FRONT, shadow=False, looks=[look]).astype(int)
-    red, green, blue, white = (drawn[row, column] for row in (35, 55) for column in (70, 90))
-    assert reddish(red)
-    assert greenish(green)
-    assert blue[2] > 1.5 * max(blue[0], blue[1])
-    assert white.min() > 100
+    assert_quarters(upright(), tmp_path, ("red", "green", "blue", "white"))
     for name, text in (
         ("none.png", "is not there"),
         ("test.txt", "is not an image that can be read: .*none of PNG, JPEG"),
@@ -470,9 +463,6 @@ def test_a_texture_lies_upright_and_is_not_mirrored(tmp_path):
 
 def test_a_texture_lies_as_the_corners_of_a_mesh_say(tmp_path):
     """Turned by a quarter, beyond 0..1, and with a seam along the middle."""
-    image = np.zeros((64, 64, 3), dtype=np.uint8)
-    image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (255, 0, 0), (0, 255, 0), (0, 0, 255), 255
-    Image.fromarray(image).save(tmp_path / "four.png")
     scene = Scene(dim=3)
     sheet = shapes.cloth(scene, size=(2, 2), resolution=(9, 9), rotation=(90, 0, 0), position=(-1, 1, 0))
     x = scene.position[sheet.triangles]
@@ -481,13 +471,7 @@ def test_a_texture_lies_as_the_corners_of_a_mesh_say(tmp_path):
     scene.set_name(sheet.balls, "flag", uv)
     frame = frame_of(scene)
     frame.objects = tuple(scene.objects)
-    look = {"of": "flag", "texture": tmp_path / "four.png"}
-    drawn = picture(frame, camera=FRONT, shadow=False, looks=[look]).astype(int)
-    blue, red, white, green = (drawn[row, column] for row in (35, 55) for column in (70, 90))
-    assert blue[2] > 1.5 * max(blue[0], blue[1])
-    assert reddish(red)
-    assert white.min() > 100
-    assert greenish(green)
+    assert_quarters(frame, tmp_path, ("blue", "red", "white", "green"))
 
 
 @pytest.mark.slow

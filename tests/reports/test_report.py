@@ -153,6 +153,15 @@ def row(seconds, error, verdict="stable", step=1e-3, noise=None):
     return rows.Row(**{**values, "noise": noise}, verdict=verdict)
 
 
+def test_an_order_is_that_of_errors_over_steps():
+    """Of a third order, also between steps of which one is no half of the other; none where the reference is as far off."""
+    found = [
+        row(1.0, error, step=step) for step, error in ((8e-3, 8.0), (4e-3, 1.0), (3e-3, 1.0 * 0.75**3), (1e-3, 1e-9))
+    ]
+    orders = [one.order for one in rows.with_orders(found, known=1e-9)]
+    assert orders == [None, pytest.approx(3.0), pytest.approx(3.0), None]
+
+
 def test_pareto_front_and_the_cheapest():
     fast, good, worse, best, wild, near = found = [
         row(1.0, 1e-2),

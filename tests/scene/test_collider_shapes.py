@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from physics_support import PRECISION
+from physics_support import PRECISION, box_mesh
 
 import taichi_sim as ts
 from taichi_sim.geometry.mesh import Surface, holes, mesh_distance, volume
@@ -13,11 +13,7 @@ from taichi_sim.scene.motion import turn_matrix, turn_vector
 
 pytestmark = pytest.mark.long_in("f64")
 
-CUBE = (
-    np.array([[k >> a & 1 for a in range(3)] for k in range(8)]) - 0.5,
-    np.array([(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2),
-              (1, 3, 7), (1, 7, 5)]),
-)  # fmt: skip
+CUBE = box_mesh()
 
 
 def collider(shape, dim=2):

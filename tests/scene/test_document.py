@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 from element_blocks import add_block, blocks
+from physics_support import box_mesh
 from trajectories import muscle
 
 import taichi_sim as ts
@@ -16,11 +17,7 @@ from taichi_sim.scene.parts import LISTS
 pytestmark = pytest.mark.once
 
 TETRAHEDRON = [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]
-CUBE = (
-    np.array([[k >> a & 1 for a in range(3)] for k in range(8)]) - 0.5,
-    np.array([(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2),
-              (1, 3, 7), (1, 7, 5)]),
-)  # fmt: skip
+CUBE = box_mesh()
 
 
 def elements(dim):

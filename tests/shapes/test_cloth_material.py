@@ -99,6 +99,12 @@ def test_bending_rigidity_of_a_sheet(resolution):
     assert bending_energy(turned, turned.position) < 1e-20
 
 
+def rolled(x, z, turn, radius):
+    """Places (n, 3) of what lies flat at (x, z), rolled on a cylinder in the direction `turn` [rad]."""
+    along, across = np.cos(turn) * x + np.sin(turn) * z, np.cos(turn) * z - np.sin(turn) * x
+    return np.stack([radius * np.sin(along / radius), radius * (1 - np.cos(along / radius)), across], axis=1)
+
+
 @pytest.mark.parametrize(
     ("cut", "moved"), [("alike", 0.0), ("in turns", 0.0), ("even", 0.0), ("in turns", 0.2), ("alike", 0.3)]
 )
@@ -113,9 +119,7 @@ def test_bending_rigidity_of_a_flat_mesh(cut, moved):
     x, z = flat.vertices[:, 0], flat.vertices[:, 2]
     for radius in (0.7, 6.0):
         for turn in np.pi / 8 * np.arange(-3, 5):
-            along, across = np.cos(turn) * x + np.sin(turn) * z, np.cos(turn) * z - np.sin(turn) * x
-            rolled = np.stack([radius * np.sin(along / radius), radius * (1 - np.cos(along / radius)), across], axis=1)
-            part = bending_energy(scene, rolled) / (area * RIGIDITY / (2 * radius**2))
+            part = bending_energy(scene, rolled(x, z, turn, radius)) / (area * RIGIDITY / (2 * radius**2))
             assert 1.0 - (1.4 if moved < 0.3 else 2.5) / cells < part < 1.01
 
 
@@ -133,10 +137,8 @@ def test_a_fabric_bends_along_warp_and_weft(kind, angle):
     shapes.cloth(scene, **place, warp=STRETCH, warp_angle=angle, bending_rigidity=rigid, bending_weft=soft)
     x, z, radius = scene.position[:, 0], scene.position[:, 2], 3.0
     for turn in np.pi / 8 * np.arange(-3, 5):
-        along, across = np.cos(turn) * x + np.sin(turn) * z, np.cos(turn) * z - np.sin(turn) * x
-        rolled = np.stack([radius * np.sin(along / radius), radius * (1 - np.cos(along / radius)), across], axis=1)
         share = np.cos(turn - np.radians(angle)) ** 2
-        part = bending_energy(scene, rolled) / (
+        part = bending_energy(scene, rolled(x, z, turn, radius)) / (
             size[0] * size[1] * (rigid * share + soft * (1 - share)) / (2 * radius**2)
         )
         assert 1.0 - 2.0 / n < part < 1.02, (turn, part)
@@ -161,36 +163,35 @@ def test_a_strip_of_mesh_sags_as_a_beam(cut, moved, allowed, wide):
     assert sag == pytest.approx(mass * 10 * (1 - 1 / n) ** 4 / (8 * RIGIDITY), rel=allowed)
 
 
+def hinge(fold):
+    """Two triangles at an edge along z, about which one of them is turned by `fold` [rad]."""
+    corners = [[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(fold), 0.4 * np.sin(fold), 0]]
+    return Surface(np.array(corners), np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32))
+
+
 def test_a_fold_is_as_stiff_as_a_flat_hinge():
     """B e^2 / (A0 + A1) times half the square of the change of the angle: by an element, or by a spring across the edge."""
-
-    def hinge(angle):
-        return np.array([[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(angle), 0.4 * np.sin(angle), 0]])
-
-    faces, small = np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32), 1e-4
+    small = 1e-4
     want = RIGIDITY * 0.5**2 / (0.5 * 0.5 * 0.7) * small**2 / 2
     for angle in (0.0, 0.5, -1.5):
         scene = Scene(dim=3)
-        shapes.cloth(scene, mesh=Surface(hinge(angle), faces), stretch_stiffness=1e6, bending_rigidity=RIGIDITY)
+        shapes.cloth(scene, mesh=hinge(angle), stretch_stiffness=1e6, bending_rigidity=RIGIDITY)
         assert (len(scene.bends), scene.n_springs) == ((1, 5) if angle == 0 else (0, 6))
-        bent = hinge(angle + small)
+        bent = hinge(angle + small).vertices
         assert bending_energy(scene, bent) + spring_energy(scene, bent) == pytest.approx(want, rel=1e-3)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4])
 def test_a_hinge_of_a_fabric_is_as_stiff_as_the_fabric_across_it(angle):
     """Flat or folded, of two triangles: its edge lies along z, so that it bends along x."""
-
-    def hinge(fold):
-        return np.array([[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(fold), 0.4 * np.sin(fold), 0]])
-
-    faces, small, found = np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32), 1e-4, []
+    small, found = 1e-4, []
     for fold in (0.0, 1e-3):
         for weft in (RIGIDITY, 0.25 * RIGIDITY):
             scene = Scene(dim=3)
             threads = {"warp": 1e6, "warp_angle": np.degrees(angle), "bending_rigidity": RIGIDITY, "bending_weft": weft}
-            shapes.cloth(scene, mesh=Surface(hinge(fold), faces), **threads)
-            found.append(bending_energy(scene, hinge(fold + small)) + spring_energy(scene, hinge(fold + small)))
+            shapes.cloth(scene, mesh=hinge(fold), **threads)
+            bent = hinge(fold + small).vertices
+            found.append(bending_energy(scene, bent) + spring_energy(scene, bent))
     want = np.cos(angle) ** 2 + 0.25 * np.sin(angle) ** 2
     assert found[1] / found[0] == pytest.approx(want, rel=1e-6)
     assert found[3] / found[2] == pytest.approx(want, rel=1e-3)
@@ -198,10 +199,15 @@ def test_a_hinge_of_a_fabric_is_as_stiff_as_the_fabric_across_it(angle):
 
 @pytest.mark.parametrize("fold", [np.pi, np.pi - 2e-5, -np.pi])
 def test_nothing_crosses_an_edge_folded_onto_itself(fold):
-    corners = [[0.0, 0, -0.2], [0, 0, 0.3], [-0.3, 0, 0.1], [0.4 * np.cos(fold), 0.4 * np.sin(fold), 0]]
-    surface = Surface(np.array(corners), np.array([[0, 1, 3], [1, 0, 2]], dtype=np.int32))
-    bends, pairs, strength = mesh_bends(surface, RIGIDITY)
+    bends, pairs, strength = mesh_bends(hinge(fold), RIGIDITY)
     assert (len(bends.corners), len(pairs), len(strength)) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("rigidity", [None, RIGIDITY])
+def test_nothing_bends_beside_a_triangle_without_area(rigidity):
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0.3, 1]])
+    bends, pairs, _ = mesh_bends(Surface(corners, np.array([[0, 3, 1], [0, 1, 2]], dtype=np.int32)), rigidity)
+    assert (len(bends.corners), len(pairs)) == (0, 0)
 
 
 @pytest.mark.parametrize("fold", [3e-5, 9e-5])

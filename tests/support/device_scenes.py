@@ -49,8 +49,7 @@ def pile_ordered():
 
 def crowd_plain_sum():
     """Sparse: in a crowd that starts in itself the plain sum turns a rounding error of 1e-7 m into 0.5 m."""
-    scene, settings = bits.crowd_sum()
-    return scene, settings
+    return bits.crowd_sum()
 
 
 def sizes_differ():
@@ -134,8 +133,7 @@ def balloon():
 
 def many_springs():
     """More than run in one thread: blocks of the half list."""
-    scene, settings = bits.blocks_parallel()
-    return scene, settings
+    return bits.blocks_parallel()
 
 
 def with_a_tolerance():

@@ -405,7 +405,7 @@ def document(body, nodes=({"mesh": 0},), kind=5123, indexed=True, mode=4, meshes
 
 
 def glb(header, body):
-    text = json.dumps(header).encode()
+    text = json.dumps(header, default=str).encode()
     text += b" " * (-len(text) % 4)
     size = 12 + 8 + len(text) + 8 + len(body)
     return (

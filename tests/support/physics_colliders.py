@@ -4,7 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from physics_support import vector
+from physics_support import box_mesh, vector
 
 import taichi_sim as ts
 from taichi_sim.scene.motion import rotation_matrix
@@ -23,13 +23,6 @@ def turn(dim, degrees):
 
 def block(dim, x, y, z=1.0):
     return (x, y, z)[:dim]
-
-
-def cube(side=1.0):
-    """Vertices and triangles of a cube."""
-    v = (np.array([[k >> a & 1 for a in range(3)] for k in range(8)]) - 0.5) * side
-    q = np.array([(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)])
-    return v, np.concatenate([q[:, [0, 1, 2]], q[:, [0, 2, 3]]])
 
 
 def ring(n=24, m=12, wide=0.7, thick=0.3):
@@ -90,12 +83,12 @@ class Laboratory:
         self.add("pinned", c + vector(dim, -0.2, -0.2), "common", pinned=True)
         if dim == 3:
             c = self.place("mesh")
-            self.scene.add_collider(ts.Mesh(cube(), position=c + half, material="common"))
+            self.scene.add_collider(ts.Mesh(box_mesh(), position=c + half, material="common"))
             self.add("rests on a mesh", c + vector(dim, 0.1, R), "common")
             c = self.place("thin plate")
             tilt = rotation_matrix("", (9.0, 24.0, 13.0), 3)
-            plate = cube(2.4)[0] * (1.0, THIN / 16, 1.0) @ tilt.T
-            self.scene.add_collider(ts.Mesh((plate, cube()[1]), position=c, resolution=16, material="rough"))
+            corners, triangles = box_mesh((2.4, 2.4 * THIN / 16, 2.4))
+            self.scene.add_collider(ts.Mesh((corners @ tilt.T, triangles), position=c, resolution=16, material="rough"))
             for k, (x, z) in enumerate(((0.03, 0.4), (-0.41, -0.35), (0.62, -0.11))):
                 y = 0.5 * THIN * 2.4 / 16 + R + 0.1 * k
                 self.add(f"dropped on a thin plate {k}", c + tilt @ (x, y, z), "rough")

@@ -135,6 +135,13 @@ def observe(scene, method, variant, steps, h=1e-3, **settings):
     return np.array(x), np.array(v)
 
 
+def box_mesh(size=1.0, centre=0.0):
+    """Vertices (8, 3) and triangles (12, 3), counter-clockwise from outside, of a box [m]."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]) * size + centre
+    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return corners, np.array([t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))])
+
+
 def add_network(scene, rng, n, damped, unit=1.0):
     """A random net, some of it pinned, masses over two decades; unit [s]: its time scale."""
     x = rng.uniform(-1.0, 1.0, (n, scene.dim))

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import taichi as ti
+from commands import status
 from physics_support import PRECISION
 from PIL import Image
 
@@ -140,15 +141,12 @@ def test_what_is_refused_before_anything_is_drawn(run, tmp_path):
 
 @pytest.mark.once
 def test_the_command(run, tmp_path, capfd):
-    from taichi_sim.cli.main import main
-
     def ended(*words):
-        with pytest.raises(SystemExit) as end:
-            main(["render", str(run / "s.npz"), "-o", str(tmp_path / "x.csv"), "--workers", "0", *words])
-        return end.value.code, capfd.readouterr()
+        code = status("render", run / "s.npz", "-o", tmp_path / "x.csv", "--workers", "0", *words)
+        return code, capfd.readouterr()
 
-    status, said = ended("--style", "camera.azimuth=80", "--style", "colour=speed", "--fps", "10")
-    assert status == 0
+    code, said = ended("--style", "camera.azimuth=80", "--style", "colour=speed", "--fps", "10")
+    assert code == 0
     assert "x.csv: 10 frames" in said.out
     for words, why in (
         (("--style", "camera"), "KEY=VALUE"),
@@ -156,8 +154,8 @@ def test_the_command(run, tmp_path, capfd):
         (("--fps", "0"), "--fps"),
         (("-o", str(tmp_path / "x.csv")), "is given twice"),
     ):
-        status, said = ended(*words)
-        assert status == 2, words
+        code, said = ended(*words)
+        assert code == 2, words
         assert why in said.err
         assert "Traceback" not in said.err
 
@@ -166,14 +164,10 @@ def test_the_command(run, tmp_path, capfd):
 @pytest.mark.once
 def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
     pytest.importorskip("distributed")
-    from taichi_sim.cli.main import main
-
     monkeypatch.chdir(tmp_path)
     common = ("--duration", "0.2", "--fps", "20", "--size", "96x54", "--arch", "cpu", "--precision", PRECISION, "-q")
     for name, words in (("a.gif", ()), ("b.gif", ("--workers", "2"))):
-        with pytest.raises(SystemExit) as end:
-            main(["run", "box", "-o", name, *common, *words])
-        assert end.value.code == 0, capfd.readouterr().err
+        assert status("run", "box", "-o", name, *common, *words) == 0, capfd.readouterr().err
     assert (tmp_path / "a.gif").read_bytes() == (tmp_path / "b.gif").read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.gif", "b.gif"]
 
@@ -181,14 +175,10 @@ def test_a_run_drawn_by_workers_is_the_run(tmp_path, monkeypatch, capfd):
 @pytest.mark.once
 def test_what_cannot_be_drawn_is_not_simulated_and_what_was_simulated_is_kept(tmp_path, monkeypatch, capfd):
     pytest.importorskip("distributed")
-    from taichi_sim.cli.main import main
-
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(cluster, "PATIENCE", 0.5)
     common = ["run", "box", "-o", "a.gif", "--duration", "0.1", "--fps", "20", "--size", "64x48", "-q"]
-    with pytest.raises(SystemExit) as end:
-        main([*common, "--scheduler", "tcp://127.0.0.1:9"])
-    assert end.value.code == 2
+    assert status(*common, "--scheduler", "tcp://127.0.0.1:9") == 2
     assert "no scheduler answers there" in capfd.readouterr().err
     assert not list(tmp_path.iterdir())
 
@@ -196,9 +186,7 @@ def test_what_cannot_be_drawn_is_not_simulated_and_what_was_simulated_is_kept(tm
         raise OSError("disk is gone")
 
     monkeypatch.setattr(pictures, "_images", broken)
-    with pytest.raises(SystemExit) as end:
-        main([*common, "--workers", "0"])
-    assert end.value.code == 2
+    assert status(*common, "--workers", "0") == 2
     said = capfd.readouterr().err
     assert "disk is gone" in said
     assert "holds the run" in said
@@ -280,34 +268,16 @@ def test_what_is_cut_off_while_it_is_drawn_leaves_nothing_behind(run, tmp_path, 
 
 
 def test_what_a_recording_cannot_show_is_refused_before_it_is_simulated(tmp_path, monkeypatch, capfd):
-    from taichi_sim.cli.main import main
-
     def simulated(*_, **__):
         raise AssertionError("it was simulated")
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(outputs, "export", simulated)
-    common = [
-        "run",
-        "box",
-        "--duration",
-        "0.1",
-        "--fps",
-        "20",
-        "--size",
-        "64x48",
-        "-q",
-        "--workers",
-        "0",
-        "--arch",
-        "cpu",
-    ]
-    common += ["--precision", PRECISION]
+    shown = ["--duration", "0.1", "--fps", "20", "--size", "64x48", "-q"]
+    common = ["run", "box", *shown, "--workers", "0", "--arch", "cpu", "--precision", PRECISION]
 
     def refused(*words):
-        with pytest.raises(SystemExit) as end:
-            main([*common, *words])
-        assert end.value.code == 2
+        assert status(*common, *words) == 2
         assert not list(tmp_path.glob("[!.]*"))
         return capfd.readouterr().err
 
@@ -344,14 +314,10 @@ def test_colliders_that_a_recording_does_not_hold():
 
 @pytest.mark.once
 def test_the_wall_time_counts_what_was_drawn(tmp_path, monkeypatch, capfd):
-    from taichi_sim.cli.main import main
-
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(pictures, "draw", lambda *_, **__: time.sleep(1.5))
     words = ["--duration", "0.1", "--fps", "20", "--workers", "0", "--arch", "cpu", "--precision", PRECISION]
-    with pytest.raises(SystemExit) as end:
-        main(["run", "box", "-o", "a.csv", *words])
-    assert end.value.code == 0
+    assert status("run", "box", "-o", "a.csv", *words) == 0
     assert float(capfd.readouterr().out.partition("pictures ")[2].partition(",")[0]) >= 1.5
     assert not list(tmp_path.iterdir())
 
