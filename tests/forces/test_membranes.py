@@ -10,6 +10,8 @@ from taichi_sim.forces.membranes import Membranes
 from taichi_sim.integrators import ImplicitEuler
 from taichi_sim.scene.membranes import MEMBRANES
 from taichi_sim.scene.presets import PRESETS
+from tests.shapes.test_cloth_material import mesh_of
+from tests.support.drag import Drag
 
 LAW = {"warp": 300.0, "weft": 120.0, "shear": 40.0, "coupling": 70.0}  # N/m
 MATRIX = np.array([[300.0, 70.0, 0.0], [70.0, 120.0, 0.0], [0.0, 0.0, 40.0]])  # of E_uu, E_vv, 2 E_uv
@@ -114,6 +116,28 @@ def test_patch_test():
         sim.step(40)
         assert np.abs(sim.position - exact).max() < (1e-12 if F64 else 1e-5)
         assert sim.energy().spring == pytest.approx(energy(scene, exact), rel=1e-12 if F64 else 1e-5)
+
+
+@pytest.mark.slow
+def test_a_sheet_hangs_alike_however_it_is_cut():
+    """A grid, and meshes cut along either diagonal and in turns, of a fabric with a warp, held by two patches."""
+    scene, sheets, n = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0)), [], 14
+    held = [i * (n + 1) + j for i in (0, 1, n - 1, n) for j in (0, 1)]
+    for k, cut in enumerate((None, "alike", "other", "in turns")):
+        if cut is None:
+            form = {"size": (1.1, 0.9), "resolution": (n + 1, n + 1)}
+        else:
+            flat = mesh_of((1.1, 0.9), (n, n), cut)
+            form = {"mesh": (flat.vertices, flat.triangles)}
+        made = {"material": "denim", "warp_angle": 20.0, "pinned": held, "radius": 0.01}
+        sheets.append(ts.shapes.cloth(scene, position=(2.0 * k, 0.0, 0.0), **form, **made).balls)
+    with simulate(scene, integrator="implicit_euler", dt=0.02, contacts="off", forces=[Drag(4.0)]) as sim:
+        sim.run(2.0)
+        x = sim.position
+    grid = x[sheets[0]]
+    assert grid[:, 1].min() < -0.8
+    for k, balls in enumerate(sheets):
+        assert np.linalg.norm(x[balls] - grid - [2.0 * k, 0.0, 0.0], axis=1).mean() < 3e-3
 
 
 @pytest.mark.slow
