@@ -11,7 +11,9 @@ def status(*words) -> int:
 
     with pytest.raises(SystemExit) as ended:
         main([str(word) for word in words])
-    return ended.value.code
+    code = ended.value.code
+    assert isinstance(code, int)
+    return code
 
 
 def run_shown(text: str, pattern: str, *more: str) -> None:
