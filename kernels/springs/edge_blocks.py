@@ -14,7 +14,7 @@ def sums(total: ti.template(), springs: ti.template(), h):
     """total.sum[i] = total.own(i) + the terms of all springs of ball i.
 
     total.term(i, j, e, h) is what spring e adds at its lower ball i and takes at its other one, j; in the order "ends" each of
-    them asks for its own.
+    them asks for its own. They are vectors of total.dim numbers of total.type.
     """
     if ti.static(springs.order == "ends"):
         for i in range(springs.n):
@@ -43,7 +43,7 @@ def sum_block(b, total: ti.template(), springs: ti.template(), h):
         for i in range(b * springs.block, ti.min((b + 2) * springs.block, springs.n)):
             total.sum[i] = total.own(i)
     for i in range(b * springs.block, ti.min((b + 1) * springs.block, springs.n)):
-        mine = ti.Vector.zero(float, total.dim)
+        mine = ti.Vector.zero(total.type, total.dim)
         for e in range(springs.start[i], springs.start[i + 1]):
             j = springs.spring[e].other
             f = total.term(i, j, e, h)

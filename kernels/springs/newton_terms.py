@@ -32,28 +32,32 @@ def closing(r, u, w, s, dim: ti.template()):
 
 
 @ti.func
-def linearise(a, b, i, j, spring, s, dim: ti.template(), damped: ti.template()):
-    """Impulse s F on ball i, and r, along, across of the block along r r^T + across I of a spring; a, b: padded places p at the
-    start of the stage and velocities of balls i and j, as f and r are. The difference of p + s v is not taken of sums: their
-    rounding grows with the distance from the origin."""
+def linearise(a, b, i, j, spring, s, wide: ti.template(), dim: ti.template(), damped: ti.template()):
+    """Impulse s F on ball i, of the type `wide`, and r, along, across of the block along r r^T + across I of a spring.
+
+    a, b: padded places p, `wide`, at the start of the stage and velocities of balls i and j. The impulse is that of the way in
+    `wide`: rounding of places comes to forces as large as those that taut springs leave of each other's. The difference of
+    p + s v is not taken of sums: their rounding grows with the distance from the origin.
+    """
     u = b.v - a.v
-    r = (b.x - a.x) + s * u
-    square = padded_blocks.dot(r, r, dim)
-    inverse = ti.rsqrt(ti.max(square, padded_blocks.COINCIDENT))
-    d = square * inverse
+    way = (b.x - a.x) + ti.cast(s, wide) * ti.cast(u, wide)
+    square = padded_blocks.dot(way, way, dim)
+    root = ti.rsqrt(ti.max(square, ti.cast(padded_blocks.COINCIDENT, wide)))
+    d = square * root
     if square < padded_blocks.COINCIDENT:
-        n, _ = unit(padded_blocks.cut(r, dim), i, j)
-        r = padded_blocks.pad(n, dim)
-        inverse = 1.0
+        n, _ = unit(padded_blocks.cut(way, dim), i, j)
+        way = ti.cast(padded_blocks.pad(n, dim), wide)
+        root = ti.cast(1.0, wide)
+    r, inverse = ti.cast(way, float), ti.cast(root, float)
     approach = ti.cast(0.0, float)
     if ti.static(damped):
         approach = closing(r, u, b.w - a.w, s, dim)
-    pull = tension(spring, s, d, inverse, approach, damped)
+    pull = tension(spring, s, d, inverse, approach, damped)  # wide, as d is
     rate = s * (s * spring.stiffness)
-    across = ti.max(0.0 * rate, s * inverse * pull)
+    across = ti.max(0.0 * rate, s * inverse * ti.cast(pull, float))
     if ti.static(damped):
         rate += s * spring.damping
-    return inverse * pull * r, r, (rate - across) * inverse * inverse, across
+    return root * pull * way, r, (rate - across) * inverse * inverse, across
 
 
 @ti.func

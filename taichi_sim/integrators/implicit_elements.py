@@ -64,8 +64,8 @@ class StageElements:
             force = ti.Vector.zero(self.wide, self.dim)
             for one, there in ti.static(zip(self.elements, self.there)):
                 force += one.force_on(there, i, self.time[0])
-            own = ti.cast(padded_blocks.cut(total[i], self.dim), self.wide)
-            total[i] = padded_blocks.pad(ti.cast(own + ti.cast(s, self.wide) * force, float), self.dim)
+            for a in ti.static(range(self.dim)):
+                total[i][a] = total[i][a] + ti.cast(s, self.wide) * force[a]
 
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):

@@ -83,7 +83,7 @@ class StageGas:
             self.here[i].x = base[i].x + s * base[i].v
         self.gases.press(self.here)
         for i in range(self.n):
-            total[i] = total[i] + padded_blocks.pad(s * self.gases.force(self.here, i), 3)
+            total[i] = total[i] + ti.cast(padded_blocks.pad(s * self.gases.force(self.here, i), 3), self.wide)
 
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):

@@ -93,12 +93,12 @@ class StageSolver(Sizes, Potentials, Search, Releases):
         self.last = fields.vectors(self.n * stages, self.dim)
         vector = ti.types.vector(width, fields.real)
         self.damped = springs is not None and springs.damped
-        past = {"w": vector} if self.damped else {}
-        self.ahead = fields.table(phase_type(width, fields.real) | past, self.n)  # padded
+        ahead = {"x": ti.types.vector(width, fields.wide), "v": vector} | ({"w": vector} if self.damped else {})
+        self.ahead = fields.table(ahead, self.n)
         block = {"r": vector, "along": fields.real, "across": fields.real}
         self.spring_block = fields.table(block, 0 if springs is None else springs.entries)
         self.product = Product(self, fields)
-        self.residual = Residual(self)
+        self.residual = Residual(self, fields)
         self.inverse_block = fields.matrices(self.n, self.dim)  # of the diagonal
         self.swings, self.part_of_step = method.contacts.plan.active and model.has_restitution, method.part
         if self.swings:
@@ -138,7 +138,10 @@ class StageSolver(Sizes, Potentials, Search, Releases):
         self.eps, self.rounding, self.finest = eps, POTENTIAL_ROUNDING * eps, FINEST_SOLUTION * eps
         self.least = max(self.tolerance**2, self.finest)
         stiff = np.bincount(scene.pairs.ravel(), np.repeat(scene.stiffness**2, 2), self.n)
-        self.rough = fields.reals(eps * np.sqrt(stiff))  # N/m: what rounding of a place makes of the forces on a ball
+        sharp = method.state.compensated and fields.wide == ti.f64  # places, where springs take them
+        self.rough = fields.reals(
+            (2.0**-52 if sharp else eps) * np.sqrt(stiff)
+        )  # N/m: what rounding of a place makes of the forces on a ball
 
     def _own_springs(self, springs: Springs, fields: Fields) -> None:
         """List each spring once, with the ball whose body it belongs to: its lower one, if that is not pinned."""
@@ -161,16 +164,18 @@ class StageSolver(Sizes, Potentials, Search, Releases):
             self.turns.step[0] = s
         self._sum_springs(self.residual, s)
         if ti.static(self.inflated):
-            self.gas.push(self.base, self.product.sum, s)
+            self.gas.push(self.base, self.residual.sum, s)
         if ti.static(self.has_elements):
-            self.elements.push(self.base, self.low, self.product.sum, s)
+            self.elements.push(self.base, self.low, self.residual.sum, s)
+        self.residual.round_off()
 
     @ti.func
     def begin(self, s, stage):
         """The first guess: the change of the step before, in the frame of the body, and that of its centre of mass now."""
         for i in range(self.n):
             self.first[i] = self.base[i].v
-            self.ahead[i].x = padded_blocks.pad(self.base[i].x, self.dim)
+            x, low = padded_blocks.pad(self.base[i].x, self.dim), padded_blocks.pad(self.low[i], self.dim)
+            self.ahead[i].x = ti.cast(x, self.wide) + ti.cast(low, self.wide)
             self.dv[i] = self.last[stage * self.n + i]
         self.free.add_change(self.dv, self.base, self.q)
         self.free.find_means(self.base, self.q)

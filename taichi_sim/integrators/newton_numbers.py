@@ -134,7 +134,7 @@ class Stage:
     first: Any
     low: Any
     dv: Any  # (n) [m/s] change of the velocities to be added
-    ahead: Any  # (n) base, padded
+    ahead: Any  # (n) base, padded: x, with what rounding took from it, in double precision
     sum: Any  # (n) residual, then what a search leaves of it
     product: Any
     residual: Any

@@ -14,7 +14,7 @@ class Product:
     """sum = A p, both (n) padded."""
 
     def __init__(self, solver: Any, fields: Fields) -> None:
-        self.solver, self.dim = solver, padded_blocks.width(solver.dim)
+        self.solver, self.dim, self.type = solver, padded_blocks.width(solver.dim), fields.real
         self.p = fields.vectors(solver.n, self.dim)
         self.sum = fields.vectors(solver.n, self.dim)
 
@@ -37,10 +37,12 @@ class Product:
 
 @ti.data_oriented
 class Residual:
-    """sum (n) = the residual, padded; notes the blocks of all springs."""
+    """sum (n) = the residual, padded, in double precision where the device has it; notes the blocks of all springs."""
 
-    def __init__(self, solver: Any) -> None:
-        self.solver, self.dim, self.sum = solver, solver.product.dim, solver.product.sum
+    def __init__(self, solver: Any, fields: Fields) -> None:
+        self.solver, self.dim, self.type = solver, solver.product.dim, fields.wide
+        self.rounds = fields.wide != fields.real
+        self.sum = fields.vectors(solver.n, self.dim, wide=True) if self.rounds else solver.product.sum
 
     @ti.func
     def own(self, i):
@@ -50,13 +52,15 @@ class Residual:
         if ti.static(self.solver.rubs):
             change += self.solver.held.rub(i, v)
         momentum = self.solver.mass(i) * change
-        return padded_blocks.pad(momentum, self.solver.dim)
+        return ti.cast(padded_blocks.pad(momentum, self.solver.dim), self.type)
 
     @ti.func
     def term(self, i, j, e, s):
         """Impulse of spring e on ball i, which it joins to ball j."""
         a, b, springs = self.solver.ahead[i], self.solver.ahead[j], self.solver.springs
-        f, r, along, across = newton_terms.linearise(a, b, i, j, springs.spring[e], s, self.solver.dim, springs.damped)
+        f, r, along, across = newton_terms.linearise(
+            a, b, i, j, springs.spring[e], s, self.type, self.solver.dim, springs.damped
+        )
         writes = True
         if ti.static(springs.order == "ends"):  # one of them
             writes = i == springs.spring[e].one
@@ -65,3 +69,10 @@ class Residual:
             self.solver.spring_block[e].along = along
             self.solver.spring_block[e].across = across
         return f
+
+    @ti.func
+    def round_off(self):
+        """Copy the sums to those of the product, which the search for a change reads."""
+        if ti.static(self.rounds):
+            for i in range(self.solver.n):
+                self.solver.product.sum[i] = ti.cast(self.sum[i], float)

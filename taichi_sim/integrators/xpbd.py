@@ -72,7 +72,7 @@ class XPBD(Implicit):
         self.at_once = self.active and self.springs.order == "atomic"
         self.in_batches = self.active and self.springs.order == "batches"
         if self.at_once:
-            self.sum = fields.vectors(self.model.n, self.dim)
+            self.sum, self.type = fields.vectors(self.model.n, self.dim), fields.real
             count = np.bincount(self.model.scene.pairs.ravel(), minlength=self.model.n)
             self.spring_count = fields.reals(count.astype(np.float64))  # springs of each ball
 

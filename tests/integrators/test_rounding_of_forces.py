@@ -31,20 +31,30 @@ def cells(scene):
     scene.add_cells(corners, bulk_modulus=2e5, together=np.arange(len(corners)) // 2)
 
 
+def springs(scene):
+    """A net of springs."""
+    grid = grid_of_balls(scene, mass=0.001)
+    rows, columns = np.stack([grid[:-1], grid[1:]], axis=2), np.stack([grid[:, :-1], grid[:, 1:]], axis=2)
+    scene.add_springs(np.concatenate([rows.reshape(-1, 2), columns.reshape(-1, 2)]), stiffness=3000.0)
+
+
 def triangles(scene):
     """Corners (t, 3) of two in each square of a grid of balls, which a scene gets where it has none."""
-    if scene.n_balls == 0:
-        x = np.stack(np.meshgrid(*(np.linspace(0, 0.05 * (n - 1), n) for n in NUMBER), indexing="ij"), axis=2)
-        scene.add_balls(x.reshape(-1, 2), mass=2.0, radius=0.01)
-    grid = np.arange(scene.n_balls).reshape(NUMBER)
+    grid = np.arange(scene.n_balls).reshape(NUMBER) if scene.n_balls else grid_of_balls(scene, mass=2.0)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
     return np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3)
+
+
+def grid_of_balls(scene, mass):
+    """Numbers of new balls 0.05 m apart, as a grid."""
+    x = np.stack(np.meshgrid(*(np.linspace(0, 0.05 * (n - 1), n) for n in NUMBER), indexing="ij"), axis=2)
+    return scene.add_balls(x.reshape(-1, 2), mass=mass, radius=0.01).reshape(NUMBER)
 
 
 @pytest.mark.long_in("f64")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 @pytest.mark.parametrize(
-    "body", [sheet, *(pytest.param(one, marks=pytest.mark.slow) for one in (bricks, solids, cells))]
+    "body", [sheet, springs, *(pytest.param(one, marks=pytest.mark.slow) for one in (bricks, solids, cells))]
 )
 def test_a_taut_body_that_weighs_little_is_solved_in_few_passes(body, method):
     """Stretched in a frame by a tenth of itself, where single precision rounds off as much of its tension as a hundredth of its
