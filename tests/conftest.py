@@ -46,7 +46,9 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=left_out)
     items[:] = [item for item in items if item not in set(left_out)]
     for item in items:
-        if any(PRECISION in mark.args for mark in item.iter_markers("long_in")) or _is_where(item, "long_where"):
+        of_precision = not item.get_closest_marker("once")  # which single precision alone runs, whatever its file says
+        long_here = of_precision and any(PRECISION in mark.args for mark in item.iter_markers("long_in"))
+        if long_here or _is_where(item, "long_where"):
             item.add_marker(pytest.mark.long)
         if item.get_closest_marker("long") or _is_where(item, "slow_where"):
             item.add_marker(pytest.mark.slow)

@@ -8,7 +8,7 @@ import pytest
 from physics_support import PRECISION, box_mesh, simulate
 
 import taichi_sim as ts
-from taichi_sim.analysis import accuracy, contact_loads, sieves
+from taichi_sim.analysis import accuracy, contact_loads, rebounds, sieves
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET, XPBD
 from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy, untouched
 from taichi_sim.geometry.spheres import icosphere
@@ -423,6 +423,15 @@ def test_small_balls_go_through_cloth_unless_its_surface_collides():
             assert "surface_collision" in sieves.through(found[0])
     scene.set_group(ball, "dust", [])
     assert not list(sieves.sieves(scene))
+
+
+@pytest.mark.once
+def test_what_may_come_back_goes_with_the_ratio_of_masses():
+    for mass in (0.3, 70.0):
+        scene = ts.Scene(dim=2, gravity=(0.0, -G))
+        scene.add_balls([[0, 0], [1, 0]], radius=0.1, mass=[mass, 4.0 * mass])
+        for impacts, part in ((rebounds.IN_TURN, 0.0), (rebounds.AT_ONCE, 0.07), (rebounds.IN_SWEEPS, 0.07)):
+            assert rebounds.returned(scene, impacts) == pytest.approx(part)
 
 
 # While it runs and after ------------------------------------------------------------------------------------------------

@@ -261,12 +261,13 @@ def crowd():
     return crowd
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
         (crowd, {"dt": 5e-3, "contacts": "jacobi", "contact_iterations": 1}),
-        (lambda: boxed(0.3, 0.3), {"dt": 1e-3, "integrator": "xpbd", "driver": "parallel"}),
+        pytest.param(
+            lambda: boxed(0.3, 0.3), {"dt": 1e-3, "integrator": "xpbd", "driver": "parallel"}, marks=pytest.mark.long
+        ),
     ],
     ids=["tamed", "parallel"],
 )

@@ -157,7 +157,6 @@ def test_the_strongest_spring_of_the_busiest_ball_limits_and_not_a_weak_one_besi
     assert value == pytest.approx(85.001 / scene.mass[0] + 80.001 / scene.mass[1])
 
 
-@pytest.mark.once
 def test_check_names_the_method_that_auto_would_take():
     scene = ts.Scene(dim=3, gravity=(0, -9.0, 0))
     ts.shapes.net(scene, size=(0.9, 0.8), meshes=(11, 12), stiffness=6e5, pinned="corners")

@@ -1,5 +1,7 @@
 """Gas and the methods for stiff springs: both act at the places where a step ends."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from physics_support import F64, simulate
@@ -21,6 +23,19 @@ def balloon(subdivisions: int, radius: float, **settings) -> ts.Scene:
     scene = ts.Scene(dim=3)
     ts.shapes.balloon(scene, (0, 0, 0), radius, subdivisions, **settings)
     return scene
+
+
+def test_a_gas_resists_by_its_pressure_over_its_volume():
+    """p V is kept, so that -dp / dV is (p + outside) / V, which methods that solve for gas take for its stiffness."""
+    scene = balloon(1, 0.3)
+    scene.gases[0] = replace(scene.gases[0], outside=35.0)
+    volume = scene.gases[0].volume
+    with simulate(scene, dt=1e-4, integrator="symplectic_euler", contacts="off") as sim:
+        sim.step()
+        (gases,) = sim.parts.forces.elements
+        pressure, rate = gases.pressure.to_numpy()[0], gases.rate.to_numpy()[0]
+    assert pressure > 1.0
+    assert rate == pytest.approx((pressure + 35.0) / volume, rel=1e-9 if F64 else 1e-5)
 
 
 @pytest.mark.parametrize("method", STIFF)

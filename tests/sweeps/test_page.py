@@ -1,5 +1,6 @@
 """The page of a sweep: when an axis is logarithmic, and what points take."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -63,3 +64,10 @@ def test_a_sweep_says_means_with_their_intervals():
     assert next(done.lines(most=0)) == "probes.load  and 2 combinations more, see the table"
     single = Sweep(SimpleNamespace(name="s"), (), SimpleNamespace(kind="product"), points[:1], rows, {}, measures, None)
     assert list(single.lines()) == ["probes.load  2.00 N at radius 0.1"]
+
+
+@pytest.mark.parametrize(("statistic", "value"), [("last", 5.0), ("min", -2.0), ("max", 5.0), ("mean", 4 / 3)])
+def test_statistics_of_readings_leave_out_those_that_are_not_known(statistic, value):
+    number = Number(f"load.{statistic}", "load", statistic)
+    assert number.of([math.nan, 1.0, -2.0, 5.0]) == pytest.approx(value)
+    assert math.isnan(number.of([math.nan]))
