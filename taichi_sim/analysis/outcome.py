@@ -158,9 +158,10 @@ def of_cells(now: int, most: int, cells: int) -> str:
     return "look at it; the body was crushed for a moment and recovered" if most > FEW_CELLS * cells else "good"
 
 
-def gained_in_step(part: float) -> str:
-    """Words on the energy that a step gave, in parts of the largest kinetic energy."""
-    return f"gained {_times(part)} the largest kinetic energy in one step, which nothing explains: {SHORTER}"
+def gained_in_step(part: float, why: str, cure: str) -> str:
+    """Words on the energy that a step gave, in parts of the largest kinetic energy. why: empty where nothing explains it."""
+    cause = f"as {why}" if why else "which nothing explains"
+    return f"gained {_times(part)} the largest kinetic energy in one step, {cause}: {cure}"
 
 
 def of_energy(start: float, end: float, scales: Scales) -> str:

@@ -185,7 +185,8 @@ class Summary:
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
             if self.scales is not None and self.scales.gained:
-                lines.append(f"             {gained_in_step(self.scales.gained)}")
+                one = self.scales
+                lines.append(f"             {gained_in_step(one.gained, one.gains, one.cure)}")
         simulated = self.duration * self.steady / max(1, self.frames - 1)
         rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
         per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""

@@ -50,8 +50,9 @@ class RunChecks:
         self._single = parts.backend.precision == "f32"
         self._solves = parts.integrator.solver_report() is not None
         # each step, see EnergyMonitor.gain_of_step: a look costs up to as much as a cheap step, so only where steps may gain;
-        # without restitution by methods above order 1 alone, which also go by forces from before what touches came to be held
-        touched = max_restitution(scene) > 0.0 or run.method.order > 1
+        # without restitution by methods above order 1, which also go by forces from before what touches came to be held, and
+        # where contacts of balls strain bodies after the stage
+        touched = max_restitution(scene) > 0.0 or run.method.order > 1 or bool(unanswered(scene, run.method, run.h)[0])
         gains = (parts.contacts.active and touched) or self._is_rigid()
         self.watches_steps = self._solves and not self.drivers and gains
         # beyond the bound for every shape the present one decides; where nothing is safe that was said at the start
@@ -167,7 +168,7 @@ class RunChecks:
         if self.run.gained:
             self.warn(
                 "gain",
-                f"by t = {self.run.time:.6g} s {self.run.method} {gained_in_step(self.run.gained)}",
+                f"by t = {self.run.time:.6g} s {self.run.method} {gained_in_step(self.run.gained, *self._why_energy_grows())}",
             )
 
     def _check_bound(self) -> None:

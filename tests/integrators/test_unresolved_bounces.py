@@ -173,3 +173,27 @@ def test_blocks_in_a_hollow_and_on_a_box_gain_no_energy(method):
             sim.step()
             energy.append(sim.energy())
     assert np.diff([one.total for one in energy]).max() < 3e-3 * max(one.kinetic for one in energy)
+
+
+def test_a_gain_of_bodies_that_meet_is_told():
+    """It was looked for where something bounces alone. Contacts stop balls of a cube after the stage, which strains it."""
+    scene = ts.Scene(dim=3, gravity=(0.0, 0.0, 0.0))
+    law = {"density": 800.0, "young_modulus": 2e5, "poisson_ratio": 0.3, "radius": 0.03}
+    for k in range(2):
+        balls = ts.shapes.jelly(scene, (0.1, 0.1, 0.1), (2, 2, 2), position=(0.0, 0.18 * k, 0.0), **law).balls
+        scene.set_balls(balls, velocity=(0.0, 0.8 - 1.6 * k, 0.0))
+    with simulate(scene, integrator="implicit_euler", dt=1 / 80, substeps=1) as sim:
+        stored = [sim.energy()]
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            for _ in range(6):
+                sim.step()
+                stored.append(sim.energy())
+        gain = np.diff([one.total for one in stored]).max() / max(one.kinetic for one in stored)
+        assert sim.scales().gained == pytest.approx(gain, rel=0.05)
+        momentum = scene.mass @ sim.velocity
+    assert gain > 0.05
+    assert np.abs(momentum).max() < 1e-5 * scene.mass.sum()
+    told = [str(one.message) for one in said if "largest kinetic energy in one step" in str(one.message)]
+    assert len(told) == 1
+    assert "contacts between balls" in told[0]
