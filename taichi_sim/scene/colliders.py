@@ -21,6 +21,7 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.common.plain import plain
 from taichi_sim.common.quantities import counted
+from taichi_sim.common.spelling import takes_centre, takes_color
 from taichi_sim.geometry.mesh import Surface, area_distance, given_surface, holes, mesh_distance, volume
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.motion import Keyframe, Motion, plain_path, turn_matrix
@@ -274,6 +275,8 @@ class ColliderShape(_Placed):
 
 
 SHAPES: dict[str, type[_Placed]] = {"sphere": Sphere, "box": Box, "capsule": Capsule, "mesh": Mesh}
+for _kind in (*SHAPES.values(), ColliderShape):
+    _kind.__init__ = takes_color(takes_centre(_kind.__init__))  # type: ignore[misc]
 
 
 def build(shape: Any, dim: int, where: str, material: int) -> Collider:
