@@ -3,8 +3,18 @@
 Within a step a collider moves with constant velocity and angular velocity from its pose, and the ball along a parabola.
 """
 
-from taichi_sim.kernels.contacts.colliders import carried_back, distance, face_distance, local, surface_velocity, world
-from taichi_sim.kernels.contacts.kinds import BOX, CUSTOM, MESH, RESTING
+from taichi_sim.kernels.contacts.colliders import (
+    BOX,
+    CUSTOM,
+    MESH,
+    carried_back,
+    distance,
+    face_distance,
+    local,
+    surface_velocity,
+    world,
+)
+from taichi_sim.kernels.contacts.kinds import RESTING
 from taichi_sim.kernels.contacts.parabola import crossing
 
 from taichi_sim.device.engine import ti

@@ -4,13 +4,13 @@ A collider's pose is that at the start of a step; within the step it moves with 
 pose at its end. All distances are signed: negative inside the solid.
 """
 
-from taichi_sim.kernels.contacts.kinds import BOX, MESH, ROUND
 from taichi_sim.kernels.contacts.triangle_tree import distance_by_list, signed_distance
 from taichi_sim.kernels.trigonometry import sine_cosine
 from taichi_sim.kernels.vectors import lever
 
 from taichi_sim.device.engine import ti
 
+ROUND, BOX, MESH, CUSTOM = range(4)  # numbers of kinds, which scene/collider_forms.py names
 CUT = -1  # number of a cell that is cut into eight
 ROUNDED = 0.5  # of a cell: what lies between corners of a grid is no further from the distance
 BEYOND_GRID = 1.4143  # times: what the border of a grid knows of a place beyond it is no more of the distance

@@ -7,7 +7,6 @@ LEAVING, RESTING, REACHABLE, SUNK, ARRIVING, FORESEEN = range(6)
 BALL_ALONE, BALL_CROWDED, BALL_ARRIVING = range(
     3
 )  # a ball that touches no others; one that does; one that arrives fast at a wall besides
-ROUND, BOX, MESH, CUSTOM = range(4)  # shapes of colliders
 # Pairs in contacts of triangles: two edges are EDGE_EDGE, + STICK_FIRST or STICK_SECOND where one of them is a bare stick.
 BALL_TRIANGLE, EDGE_EDGE = 0, 4
 STICK_FIRST, STICK_SECOND = 1, 2

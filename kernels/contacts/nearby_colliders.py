@@ -2,7 +2,7 @@
 
 from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts import warm_start
-from taichi_sim.kernels.contacts.kinds import BOX, MESH
+from taichi_sim.kernels.contacts.colliders import BOX, MESH
 
 from taichi_sim.device.engine import ti
 

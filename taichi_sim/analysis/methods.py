@@ -24,6 +24,7 @@ from taichi_sim.scene.scene import Scene
 
 __all__ = [
     "BUILT_IN_METHODS",
+    "BUILT_IN_RULES",
     "EXPLICIT_EULER",
     "GAMMA",
     "IMPLICIT_EULER",
@@ -290,6 +291,7 @@ TR_BDF2 = _TRBDF2(
 BUILT_IN_METHODS = {
     method.name: method for method in (EXPLICIT_EULER, SYMPLECTIC_EULER, VERLET, RK4, XPBD, IMPLICIT_EULER, TR_BDF2)
 }
+BUILT_IN_RULES = ("gauss_seidel", "jacobi", "sum", "off")  # of contacts
 
 
 def named(name: str) -> Method:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.geometry.support import farthest
-from taichi_sim.scene.colliders import BOX, ROUND, Collider
+from taichi_sim.scene.collider_forms import BOX, ROUND
+from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.objects import ball_in_words, owner
 from taichi_sim.scene.scene import Scene
@@ -58,7 +59,7 @@ def _width(collider: Collider) -> tuple[float, bool]:
         hull = _hull(collider)
         corners, normals = collider.vertices[hull.vertices], hull.equations[:, :3]
         return 0.5 * float((farthest(corners, normals) + farthest(corners, -normals)).min()), True
-    return (float(collider.half.min()), True) if collider.kind == BOX else (collider.radius, False)
+    return {BOX: (float(collider.half.min()), True), ROUND: (collider.radius, False)}[collider.kind]
 
 
 def _solids(scene: Scene) -> Iterator[tuple[int, Collider, NDArray[np.bool_]]]:

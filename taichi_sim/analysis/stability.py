@@ -30,6 +30,7 @@ __all__ = [
     "soft_step",
     "softened_spring",
     "stability",
+    "where_safe",
     "without",
 ]
 
@@ -176,6 +177,17 @@ def explicit_parts(scene: Scene, method: Method, custom: Declared) -> str:
     names = [one.name for one in ELEMENTS if one.acts(scene) and one not in solved]
     names += ["user-defined forces"] * any(custom.left(method.solves_elements))
     return " and ".join(filter(None, (", ".join(names[:-1]), *names[-1:])))
+
+
+def where_safe(scene: Scene, method: Method, custom: Declared) -> str:
+    """Words on where `Stability.dt_any_shape` holds: in any shape for springs and what is linear; the stiffness of other elements
+    that a method takes explicitly is that about the present shape."""
+    solved = method.solved(scene)
+    names = [one.words for one in ELEMENTS if one.acts(scene) and not one.is_linear and one not in solved]
+    names += ["user-defined forces"] * any(custom.left(method.solves_elements))
+    if not names:
+        return "however the scene deforms"
+    return f"however springs deform, while {' and '.join(names)} stay about as they are"
 
 
 def _unlimited(reason: str) -> Stability:

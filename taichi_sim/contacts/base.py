@@ -295,7 +295,7 @@ class ContactRule(FoundContacts):
         """The displacements that undo overlap where contacts are rigid. They move nothing on; but pairs that do not bounce
         and are solved in turn turn more slowly when they come further apart."""
         if ti.static(self.corrects_positions):
-            of_pairs = ti.static(self.plan.neighbours and not self.plan.soft)
+            of_pairs = ti.static(self.pushes_out_pairs)
             in_one = ti.static(self.plan.gathers)
             for i in range(self.n):
                 d = ti.Vector.zero(float, self.model.dim)

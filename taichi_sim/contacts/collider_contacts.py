@@ -6,7 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import colliders as geometry
-from taichi_sim.kernels.contacts.kinds import MESH
+from taichi_sim.kernels.contacts.colliders import MESH
 from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
 
 __all__ = ["ColliderContacts"]

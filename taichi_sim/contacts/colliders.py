@@ -8,14 +8,13 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import colliders as geometry
-from taichi_sim.kernels.contacts import kinds
 from taichi_sim.kernels.contacts.collision_groups import meets
-from taichi_sim.scene.colliders import BOX, CUSTOM, MESH, ROUND
+from taichi_sim.scene.collider_forms import BOX, CUSTOM, FORMS
 from taichi_sim.scene.motion import TICKS
 
 __all__ = ["Colliders"]
 
-KIND = {ROUND: kinds.ROUND, BOX: kinds.BOX, MESH: kinds.MESH, CUSTOM: kinds.CUSTOM}
+KIND = {kind: getattr(geometry, kind.upper()) for kind in FORMS}
 
 
 def _lesser(a: NDArray, b: NDArray) -> NDArray:
@@ -28,15 +27,16 @@ class Colliders:
     """All colliders of a scene. Motions are worked out on the host in float64, for TICKS substeps at a time: `motion`, of which
     `tick` is the present one. grids: of `distance_grids`."""
 
+    has_mesh: bool  # likewise has_round, ...: by the kinds that the scene has
+
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
         self.turn = 1 if model.dim == 2 else 3  # components of an angular velocity
         kinds = {c.kind for c in scene.colliders}
-        self.has_round, self.has_box, self.has_mesh = ROUND in kinds, BOX in kinds, MESH in kinds
+        vars(self).update({f"has_{kind}": kind in kinds for kind in KIND})
         # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
         self.custom = [(k, c.shape.distance) for k, c in enumerate(scene.colliders) if c.kind == CUSTOM]
-        self.has_custom = bool(self.custom)
         eps = float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
         self.difference = eps ** (1 / 3)  # of its extent: between points whose distances give a direction
         self.has_hollow = any(c.hollow > 0 for c in scene.colliders)

@@ -16,7 +16,8 @@ from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.kernels.contacts.colliders import CUT
 from taichi_sim.kernels.contacts.triangle_tree import CORNERS, INSIDE, OUTWARD
-from taichi_sim.scene.colliders import MESH, Collider
+from taichi_sim.scene.collider_forms import MESH
+from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["DistanceGrid", "distance_grid", "distance_grids"]

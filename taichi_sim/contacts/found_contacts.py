@@ -47,7 +47,8 @@ class FoundContacts:
 
     Class attributes: `in_turn`: each pair sees what those before it changed, which needs a fixed order; `split`: each ball splits
     its mass between its contacts, see kernels.contacts.contact_law.share; `sums_plainly`: none does; `warm_starts`, `softens`,
-    `impacts_in_turn`, `energy_limiter`, `gathers`: what of these in ContactPlan the rule can do.
+    `impacts_in_turn`, `energy_limiter`, `gathers`: what of these in ContactPlan the rule can do; `pushes_out`: overlap of pairs
+    is undone when balls move, as it must not be where the rule pushes by the overlap, as a spring.
     """
 
     struck: Any  # where the plan throws back, see kernels.contacts.struck_pairs
@@ -60,6 +61,7 @@ class FoundContacts:
     impacts_in_turn = False
     energy_limiter = False
     gathers = False
+    pushes_out = True
     relaxation = 1.0  # part of an impulse from split masses that is applied
 
     def bind(
@@ -86,7 +88,8 @@ class FoundContacts:
         self.splits_by_direction = plan.active and self.split and not model.has_friction
         joint = plan.sticks or plan.triangles
         self.shares_mass = plan.active and (joint or not self.in_turn)  # impulses from old velocities
-        self.corrects_positions = plan.active and (not plan.soft or joint or plan.walls)
+        self.pushes_out_pairs = self.pushes_out and plan.neighbours and not plan.soft
+        self.corrects_positions = plan.active and (self.pushes_out_pairs or joint or plan.walls)
         self.counts_pairs = self.split or plan.walls_in_turn  # the pairs that touch each ball, whoever lists them
         if plan.active:
             self.rate = fields.reals(np.array([1.0 / h]))  # 1/s

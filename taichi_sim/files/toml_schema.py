@@ -30,7 +30,7 @@ from pydantic.errors import PydanticUserError
 from pydantic_core import PydanticCustomError
 
 from taichi_sim import shapes
-from taichi_sim.analysis.methods import BUILT_IN_METHODS, VERLET
+from taichi_sim.analysis.methods import BUILT_IN_METHODS, BUILT_IN_RULES, VERLET
 from taichi_sim.common.docstrings import described, unit_of
 from taichi_sim.scene import colliders
 from taichi_sim.scene.camera_path import MOST_APERTURE, CameraPath
@@ -111,7 +111,7 @@ class Simulation(Strict):
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = _key(
         "auto", "what computes; auto: a GPU if one works, else the CPU"
     )
-    contacts: Literal["auto", "gauss_seidel", "jacobi", "sum", "off"] = _key("auto", "how contacts are solved")
+    contacts: Literal[tuple(["auto", *BUILT_IN_RULES])] = _key("auto", "how contacts are solved")  # type: ignore[valid-type]
     contact_iterations: PositiveInt | Literal["auto"] = _key("auto", "of each contact solve; more make contacts harder")
     accumulate: Literal["auto", "ordered", "gather", "atomic"] = _key("auto", "in which order impulses are added")
     driver: Literal["auto", "fused", "parallel"] = _key(

@@ -64,8 +64,7 @@ KERNELS: Mapping[str, Any] = {
 
 @ti.data_oriented
 class TotalForce:
-    """Gravity, springs, the scene's elements (cells, bricks, solids, bending, gas, wind) and the user's forces. What the scene
-    lacks compiles to nothing."""
+    """Gravity, springs, the scene's elements (see ELEMENTS) and the user's forces. What the scene lacks compiles to nothing."""
 
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         self.model, self.n = model, model.n
@@ -73,7 +72,7 @@ class TotalForce:
         elements = [KERNELS[one.name](model, fields) for one in ELEMENTS if one.acts(model.scene)]
         self.springs, self.extra = springs, [*elements, *extra]
         self.external_forces = self.extra  # those that `external` sums
-        self.elements = [*elements, *(force for force in extra if isinstance(force, Corners))]
+        self.elements = [force for force in self.extra if isinstance(force, Corners)]
         self.stores = [force for force in elements if force.elastic]  # energy, that the state probe counts
         self.motors = motors_of(model, springs, fields)
         self.flexes = self.motors is not None

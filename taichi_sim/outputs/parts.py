@@ -14,7 +14,8 @@ from taichi_sim.geometry.mesh import holes
 from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.render.styles import places_within
-from taichi_sim.scene.colliders import BOX, ROUND, Collider
+from taichi_sim.scene.collider_forms import ROUND
+from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.objects import mapped, named
 
 __all__ = [
@@ -274,7 +275,9 @@ def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
     colliders, names = [one.collider for one in first.colliders], collider_names(first, taken)
     tints = [one.colour or COLLIDER_GREY for one in colliders]
     if first.dim == 2:
-        shapes: Sequence[tuple[NDArray, NDArray]] = [_flat(one) for one in colliders]
+        shapes: Sequence[tuple[NDArray, NDArray]] = [
+            (in_3d(x), t) for x, t in (one.filled(ROUND_FACES) for one in colliders)
+        ]
     else:
         all_ = Bodies.of(first, ROUND_FACES)
         shapes = []
@@ -293,29 +296,6 @@ def _normals(one: Collider, vertices: Floats, triangles: NDArray) -> Floats:
     if one.kind != ROUND or len(one.half) == 2:
         return normals_of(vertices, triangles)
     return (vertices - np.clip(vertices, -one.half, one.half)) / one.radius
-
-
-def _flat(one: Collider) -> tuple[Floats, NDArray[np.int32]]:
-    """Vertices (v, 3) and triangles of a collider in 2D, filled."""
-    if one.is_meshed:
-        return in_3d(one.vertices), one.triangles
-    rim = _rim(one, 0.0)
-    if one.hollow == 0.0:
-        inner = np.arange(1, len(rim) - 1)
-        return in_3d(rim), np.stack([0 * inner, inner, inner + 1], axis=1).astype(np.int32)
-    here = np.arange(len(rim))
-    after, out = np.roll(here, -1), here + len(rim)
-    ring = [np.stack([here, out, after], axis=1), np.stack([after, out, after + len(rim)], axis=1)]
-    return in_3d(np.concatenate([rim, _rim(one, one.hollow)])), np.concatenate(ring).astype(np.int32)
-
-
-def _rim(one: Collider, wider: float) -> Floats:
-    """The outline (r, 2) [m] of a round shape or a box, counter-clockwise, so much wider all around."""
-    if one.kind == BOX:
-        return np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (one.half + wider)
-    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, ROUND_FACES + 1)
-    right = one.half + (one.radius + wider) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.concatenate([right, -right])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

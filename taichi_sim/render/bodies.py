@@ -7,11 +7,13 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.smoothing import CREASE, Smoothing
-from taichi_sim.scene.colliders import BOX, CUSTOM, Collider
+from taichi_sim.scene.collider_forms import BOX, ROUND
+from taichi_sim.scene.colliders import Collider
 
-__all__ = ["Bodies", "filled"]
+__all__ = ["PAINTED", "Bodies", "filled"]
 
 COLLIDER_GREY = (0.64, 0.66, 0.70)  # sRGB
+PAINTED = (ROUND, BOX)  # kinds that pictures in 2D show by distances; others by triangles
 FACES_AROUND = 96  # faces of a round shape about its axis; a quarter of it along each of its caps
 
 
@@ -61,9 +63,12 @@ class Bodies(NamedTuple):
 
 
 def filled(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Corners (t, 3, 2) [m] of the triangles that fill the custom colliders of a 2D frame, and the collider of each (t,)."""
-    custom = [(k, placed) for k, placed in enumerate(frame.colliders) if placed.collider.kind == CUSTOM]
-    corners = [p.collider.vertices[p.collider.triangles] @ p.rotation.T + p.centre for _, p in custom]
+    """Corners (t, 3, 2) [m] of the triangles that fill colliders of a 2D frame, but no PAINTED ones, and the collider of each."""
+    custom = [(k, placed) for k, placed in enumerate(frame.colliders) if placed.collider.kind not in PAINTED]
+    corners = []
+    for _, placed in custom:
+        vertices, triangles = placed.collider.filled(FACES_AROUND)
+        corners.append(vertices[triangles] @ placed.rotation.T + placed.centre)
     owner = np.repeat(np.array([k for k, _ in custom], dtype=np.int64), [len(part) for part in corners])
     return np.concatenate([np.zeros((0, 3, 2)), *corners]), owner
 
@@ -74,32 +79,4 @@ def _surface(collider: Collider, around: int, crease: float) -> tuple[NDArray, N
         split = Smoothing.of(collider.vertices, collider.triangles, crease).normal_of
         first = np.unique(split, return_index=True)[1]
         return collider.vertices[collider.triangles.ravel()[first]], split
-    if collider.kind == BOX:
-        signs = np.array([[(k >> a & 1) * 2 - 1 for a in range(3)] for k in range(8)])
-        faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-        corners = np.array(faces).ravel()
-        quads = np.arange(24).reshape(6, 4)
-        triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-        return signs[corners] * collider.half, triangles
-    per_cap = around // 4
-    second = 0 if collider.half[0] > 0 else 1  # of the rings at 90 degrees, which a sphere has one of
-    rings = np.concatenate([np.linspace(0, 90, per_cap + 1), np.linspace(90, 180, per_cap + 1)[second:]])
-    angle = np.radians(rings)[:, None]
-    about = np.linspace(0, 2 * np.pi, around, endpoint=False)[None]
-    x = np.where(np.arange(len(rings)) > per_cap, -1.0, 1.0)  # the second ring at 90 degrees lies at the other end
-    middle = np.broadcast_to((x * collider.half[0])[:, None], (len(rings), around))
-    r = collider.radius
-    points = np.stack(
-        [
-            middle + r * np.cos(angle) * np.ones_like(about),
-            r * np.sin(angle) * np.cos(about),
-            r * np.sin(angle) * np.sin(about),
-        ],
-        axis=-1,
-    )
-    row, column = np.meshgrid(np.arange(len(rings) - 1), np.arange(around), indexing="ij")
-    a, b = row * around + column, row * around + (column + 1) % around
-    a_next, b_next = a + around, b + around
-    sides = ((a, a_next, b), (b, a_next, b_next))
-    triangles = np.concatenate([np.stack(side, -1).reshape(-1, 3) for side in sides])
-    return points.reshape(-1, 3), triangles
+    return collider.surface(around)

@@ -27,6 +27,7 @@ from taichi_sim.analysis.stability import (
     soft_step,
     softened_spring,
     stability,
+    where_safe,
     without,
 )
 from taichi_sim.analysis.strikes import safe_step
@@ -122,7 +123,7 @@ def lines(sim: Simulation) -> Iterator[str]:
         share = _share(h, limits.dt_any_shape, part_of_bound(scene, used))
         soft = soft_step(scene, used)
         too_long = f"; above {at_most(soft)} s springs come out too long" if soft < limits.dt_any_shape else ""
-        yield f"safe step             {_seconds(limits.dt_any_shape)}, however the scene deforms{share}{too_long}"
+        yield f"safe step             {_seconds(limits.dt_any_shape)}, {where_safe(scene, used, custom)}{share}{too_long}"
         yield f"safe at present       {_seconds(limits.dt_present)}, at the present positions alone"
     limiting = [f"{name} {one}" for name, one in (("spring", limits.spring), ("ball", limits.ball)) if one is not None]
     if limiting:
@@ -264,4 +265,4 @@ def _advice(sim: Simulation, limits: Stability, longer: float) -> str:
         return f'dt is close to the bound of {safe:.4g} s; take {good:.4g} s, or dt = "auto"'
     if used.passes(scene, safe) / safe > MANY_PASSES and not any(element_rates(scene)):
         return f"if an error of a hundredth of the size will do, {XPBD} or {IMPLICIT_EULER} may need fewer passes"
-    return f"{used} at {h:.4g} s is safe, however the scene deforms"
+    return f"{used} at {h:.4g} s is safe, {where_safe(scene, used, sim.force_rates)}"

@@ -85,7 +85,7 @@ class BendingMethods:
 
 class _Bending(Columns, Element):
     name, method, counted, title = "bending", "add_bending", ("corners",), "bends"
-    is_implicit = True
+    is_implicit = is_linear = True
     features: ClassVar = {"damping of bends": lambda scene: np.any(scene.bend_damping > 0)}
 
     def energies(self, scene: Any, x: NDArray[np.float64], whole: NDArray[np.bool_]) -> list[float]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, MISSING, dataclass, field, fields, replace
 from os import PathLike
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,15 +21,13 @@ from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
 from taichi_sim.common.plain import plain
 from taichi_sim.common.quantities import counted
-from taichi_sim.geometry.mesh import Surface, area_distance, given_surface, holes, mesh_distance, volume
+from taichi_sim.common.spelling import takes_centre, takes_color
+from taichi_sim.geometry.mesh import Surface, given_surface, holes, volume
+from taichi_sim.scene.collider_forms import BOX, CUSTOM, FORMS, MESH, ROUND
 from taichi_sim.scene.collision_groups import EVERY, ONLY
 from taichi_sim.scene.motion import Keyframe, Motion, plain_path, turn_matrix
 
 __all__ = [
-    "BOX",
-    "CUSTOM",
-    "MESH",
-    "ROUND",
     "SHAPES",
     "Box",
     "Capsule",
@@ -42,7 +40,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-ROUND, BOX, MESH, CUSTOM = "round", "box", "mesh", "custom"
 FLATTEST = 1e-9  # of the cube around a mesh: what encloses less is a sheet
 MOST_CELLS = 512  # of a mesh's grid along its longest side
 
@@ -95,16 +92,17 @@ class Collider:
         """Signed distances (n,) [m] of points x (n, dim) from its surface at `time` [s], negative inside; plain and slow. That
         of a CUSTOM one as it is drawn."""
         centre, turn = self.motion.at(time)
-        p = (x - centre[0]) @ turn[0]
-        if self.is_meshed:
-            measure = mesh_distance if len(centre[0]) == 3 else area_distance
-            return measure(Surface(self.vertices, self.triangles), p)
-        if self.kind == BOX:
-            q = np.abs(p) - self.half
-            d = np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
-        else:
-            d = np.linalg.norm(p - np.clip(p, -self.half, self.half), axis=1) - self.radius
+        d = FORMS[self.kind].distances(self, (x - centre[0]) @ turn[0])
         return d if self.hollow == 0.0 else np.maximum(-d, d - self.hollow)
+
+    def surface(self, around: int) -> tuple[Floats, NDArray[np.int32]]:
+        """Vertices (v, 3) [m] and triangles (t, 3) in 3D. A vertex belongs to one smooth part of the surface, unless it is
+        meshed. around: faces of what is round about its axis, a multiple of 4."""
+        return FORMS[self.kind].triangulated(self, around)
+
+    def filled(self, around: int) -> tuple[Floats, NDArray[np.int32]]:
+        """Vertices (v, 2) [m] and triangles (t, 3) that fill it in 2D. around: as above."""
+        return FORMS[self.kind].filled(self, around)
 
     def saved(self, where: str) -> Collider:
         """The collider that a file holds in its place. Raises SceneError where a file cannot hold it."""
@@ -118,6 +116,19 @@ class Collider:
                 " ts.Capsule or ts.Mesh that is to be saved in its place",
             )
         return replace(build(instead, len(self.half), where, self.material), group=self.group, mask=self.mask)
+
+
+class _Checked(NamedTuple):
+    """Properties that follow from the arguments of a shape, see Collider."""
+
+    kind: str
+    centre: Floats
+    half: Floats
+    radius: float = 0.0
+    hollow: float = 0.0
+    turn: Floats | None = None  # of its local frame, before its motion
+    surface: Surface = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
+    resolution: int = 0
 
 
 @dataclass(frozen=True)
@@ -162,6 +173,16 @@ class _Placed:
     collides_with: str | Sequence[str] | None = None
     name: str | None = None
 
+    def _checked(self, dim: int, where: str) -> _Checked:
+        """Its own arguments, checked. Raises SceneError."""
+        raise NotImplementedError
+
+    def _number(self, where: str, key: str, **bounds: Any) -> float:
+        return validation.number(f"{where}.{key}", getattr(self, key), **bounds)
+
+    def _vector(self, where: str, key: str, dim: int) -> Floats:
+        return validation.vector(f"{where}.{key}", getattr(self, key), dim)
+
 
 @dataclass(frozen=True)
 class Sphere(_Placed):
@@ -175,6 +196,10 @@ class Sphere(_Placed):
     center: ArrayLike
     radius: float
     hollow: float = 0.0
+
+    def _checked(self, dim: int, where: str) -> _Checked:
+        hollow, radius = self._number(where, "hollow", low=0), self._number(where, "radius", positive=True)
+        return _Checked(ROUND, self._vector(where, "center", dim), np.zeros(dim), radius, hollow)
 
 
 @dataclass(frozen=True)
@@ -190,6 +215,11 @@ class Box(_Placed):
     size: ArrayLike
     hollow: float = 0.0
 
+    def _checked(self, dim: int, where: str) -> _Checked:
+        hollow, centre = self._number(where, "hollow", low=0), self._vector(where, "center", dim)
+        size = validation.per_item(f"{where}.size", self._vector(where, "size", dim), dim, positive=True)
+        return _Checked(BOX, centre, 0.5 * size, hollow=hollow)
+
 
 @dataclass(frozen=True)
 class Capsule(_Placed):
@@ -204,6 +234,16 @@ class Capsule(_Placed):
     end: ArrayLike
     radius: float
     hollow: float = 0.0
+
+    def _checked(self, dim: int, where: str) -> _Checked:
+        hollow, radius = self._number(where, "hollow", low=0), self._number(where, "radius", positive=True)
+        start, end = self._vector(where, "start", dim), self._vector(where, "end", dim)
+        length = float(np.linalg.norm(end - start))
+        if length == 0.0:
+            raise SceneError(f"{where}.end", end, "another point than start (or take a Sphere)")
+        half = np.zeros(dim)
+        half[0] = 0.5 * length
+        return _Checked(ROUND, 0.5 * (start + end), half, radius, hollow, _onto((end - start) / length))
 
 
 @dataclass(frozen=True)
@@ -223,6 +263,12 @@ class Mesh(_Placed):
     scale: float = 1.0
     resolution: int = 64
     up: Literal["y", "z"] | None = None
+
+    def _checked(self, dim: int, where: str) -> _Checked:
+        surface = _surface(self, dim, where)
+        resolution = validation.whole(f"{where}.resolution", self.resolution, 4, MOST_CELLS)
+        centre = np.zeros(3) if self.position is None else self._vector(where, "position", 3)
+        return _Checked(MESH, centre, np.zeros(dim), surface=surface, resolution=resolution)
 
 
 @dataclass(frozen=True)
@@ -274,8 +320,14 @@ class ColliderShape(_Placed):
         """The Sphere, Box, Capsule or Mesh that a file holds in its place; None: it cannot be saved."""
         return None
 
+    def _checked(self, dim: int, where: str) -> _Checked:
+        surface = _drawn(self, dim, where)
+        return _Checked(CUSTOM, self._vector(where, "center", dim), np.zeros(dim), surface=surface)
+
 
 SHAPES: dict[str, type[_Placed]] = {"sphere": Sphere, "box": Box, "capsule": Capsule, "mesh": Mesh}
+for _kind in (*SHAPES.values(), ColliderShape):
+    _kind.__init__ = takes_color(takes_centre(_kind.__init__))  # type: ignore[misc]
 
 
 def build(shape: Any, dim: int, where: str, material: int) -> Collider:
@@ -288,36 +340,12 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
     if name is None:
         raise SceneError(where, shape, "one of ts.Sphere, ts.Box, ts.Capsule, ts.Mesh, or a ts.ColliderShape")
     given = {f.name: getattr(shape, f.name) for f in fields(shape)}
-    half, radius, hollow, resolution = np.zeros(dim), 0.0, 0.0, 0
-    surface = Surface(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32))
-    turn = None
-    if isinstance(shape, Mesh):
-        kind, centre = MESH, np.zeros(3)
-        surface = _surface(shape, dim, where)
-        resolution = validation.whole(f"{where}.resolution", shape.resolution, 4, MOST_CELLS)
-        if shape.position is not None:
-            centre = validation.vector(f"{where}.position", shape.position, 3)
+    form = shape._checked(dim, where)
+    if form.kind == MESH:
         given |= {"scale": 1.0, "up": None}  # as its vertices are
-    elif isinstance(shape, ColliderShape):
-        kind, surface = CUSTOM, _drawn(shape, dim, where)
-    else:
-        hollow = validation.number(f"{where}.hollow", given["hollow"], low=0)
-    if isinstance(shape, (Sphere, Capsule)):
-        kind, radius = ROUND, validation.number(f"{where}.radius", shape.radius, positive=True)
-    if isinstance(shape, (Sphere, Box, ColliderShape)):
-        centre = validation.vector(f"{where}.center", shape.center, dim)
-    if isinstance(shape, Box):
-        size = validation.vector(f"{where}.size", shape.size, dim)
-        kind, half = BOX, 0.5 * validation.per_item(f"{where}.size", size, dim, positive=True)
-    if isinstance(shape, Capsule):
-        start, end = (validation.vector(f"{where}.{key}", given[key], dim) for key in ("start", "end"))
-        centre, length = 0.5 * (start + end), float(np.linalg.norm(end - start))
-        if length == 0.0:
-            raise SceneError(f"{where}.end", end, "another point than start (or take a Sphere)")
-        half[0], turn = 0.5 * length, _onto((end - start) / length)
-    motion = Motion.of(where, dim, centre, given)
-    if turn is not None:
-        motion = _turned(motion, turn)
+    motion = Motion.of(where, dim, form.centre, given)
+    if form.turn is not None:
+        motion = replace(motion, rotations=motion.rotations @ form.turn)
     colour = None
     if shape.colour is not None:
         colour = tuple(validation.per_item(f"{where}.colour", shape.colour, 3, low=0, high=1).tolist())
@@ -327,13 +355,21 @@ def build(shape: Any, dim: int, where: str, material: int) -> Collider:
         given["path"] = plain_path(shape.path)
     given = {key: value for key, value in given.items() if key != "mesh" and not _left_out(shape, key, value)}
     own = plain({"shape": name} | given)
-    collider = Collider(name, kind, half, radius, hollow, material, motion, colour, resolution, *surface[:2], own)
-    return replace(collider, label=shape.name or "", shape=shape if kind == CUSTOM else None)
-
-
-def _turned(motion: Motion, turn: Floats) -> Motion:
-    """The motion of a shape whose local frame is turned before: a capsule lies along its local x axis."""
-    return replace(motion, rotations=motion.rotations @ turn)
+    collider = Collider(
+        name,
+        form.kind,
+        form.half,
+        form.radius,
+        form.hollow,
+        material,
+        motion,
+        colour,
+        form.resolution,
+        form.surface.vertices,
+        form.surface.triangles,
+        own,
+    )
+    return replace(collider, label=shape.name or "", shape=shape if form.kind == CUSTOM else None)
 
 
 def _onto(axis: Floats) -> Floats:

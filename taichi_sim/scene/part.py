@@ -104,6 +104,7 @@ class Element(Part):
 
     # whether implicit methods solve for it: its kernels give the derivatives, see forces.incidence.Corners
     is_implicit: bool = False
+    is_linear: bool = False  # forces are linear in places and velocities: its stiffness and damping hold in any shape
     gives_energy: bool = False  # or takes it: the energy of a scene with one does not stay
 
     def acts(self, scene: Any) -> bool:

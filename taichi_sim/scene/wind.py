@@ -21,7 +21,7 @@ SKIN_FRICTION = 0.05  # the same along it
 
 @dataclass(frozen=True, slots=True)
 class Wind:
-    """Air that moves, or stands still and drags, see `Elements.add_wind`."""
+    """Air that moves, or stands still and drags, see `WindMethods.add_wind`."""
 
     velocity: tuple[float, ...]  # m/s
     density: float  # kg/m^3

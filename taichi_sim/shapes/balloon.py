@@ -8,7 +8,7 @@ import numpy as np
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.spelling import takes_color
+from taichi_sim.common.spelling import takes_center, takes_color
 from taichi_sim.geometry.mesh import Surface, surface_area
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.scene.scene import Scene
@@ -24,6 +24,7 @@ STRAIN = 0.1  # of the skin, by default
 MOST_STRETCH = 0.5  # part of the present length by which the skin may be stretched
 
 
+@takes_center
 @takes_color
 def balloon(
     scene: Scene,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
-from taichi_sim.common.spelling import takes_color
+from taichi_sim.common.spelling import takes_center, takes_color
 from taichi_sim.scene.pins import ends
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import (
@@ -218,6 +218,7 @@ def _area(radius: float | None) -> float:
     return float(np.pi * validation.number("rope.radius", radius, positive=True) ** 2)
 
 
+@takes_center
 @takes_color
 def wheel(
     scene: Scene,

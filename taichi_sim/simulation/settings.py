@@ -12,7 +12,7 @@ from taichi_sim.analysis.choice import LONGEST_STEP, Demand, choose
 from taichi_sim.analysis.element_rates import declared_rates, undeclared
 from taichi_sim.analysis.late_impacts import late_rate
 from taichi_sim.analysis.limits import StabilityLimit
-from taichi_sim.analysis.methods import VERLET, Method
+from taichi_sim.analysis.methods import BUILT_IN_RULES, VERLET, Method
 from taichi_sim.analysis.stability import Stability, sinking_step
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, unknown_key
@@ -265,12 +265,12 @@ def _check_backend(values: dict[str, Any]) -> None:
 
 
 def _check_contacts(value: Any) -> None:
-    if isinstance(value, str) and value == "auto":
+    words = ("auto", *BUILT_IN_RULES)
+    if isinstance(value, str) and value in words:
         return
-    from taichi_sim.contacts import CONTACT_RULES, ContactRule  # brings Taichi: only when a simulation is made
+    from taichi_sim.contacts import ContactRule  # brings Taichi: only when a simulation is made
 
-    if not isinstance(value, ContactRule) and not (isinstance(value, str) and value in CONTACT_RULES):
-        words = ["auto", *(name for name in CONTACT_RULES if name != "off"), "off"]
+    if not isinstance(value, ContactRule):
         validation.one_of("contacts", value, words, ", or a ContactRule")
 
 

@@ -7,9 +7,10 @@ import pytest
 from physics_support import F64, PRECISION, add_network, simulate, vector
 
 import taichi_sim as ts
+from taichi_sim.analysis.element_rates import Declared, Rates
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue, present_eigenvalue
-from taichi_sim.analysis.stability import stability
+from taichi_sim.analysis.stability import stability, where_safe
 from taichi_sim.reports import check
 
 pytestmark = pytest.mark.long_in("f32")
@@ -293,3 +294,20 @@ def test_xpbd_names_the_step_above_which_a_load_makes_springs_too_long():
     assert "is stable at any step" not in text
     with simulate(load_on_a_chain(0.008), integrator="verlet", contacts="off") as sim:
         assert "makes them too soft in steps above" in "\n".join(check.lines(sim))  # of all that hangs at the pin
+
+
+def test_what_is_not_linear_is_not_said_to_be_safe_in_any_shape():
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]], radius=0.1)
+    scene.add_springs([[0, 1]], stiffness=10.0)
+    verlet, any_shape = named("verlet"), "however the scene deforms"
+    scene.add_bending([[0, 1, 2, 3]], weights=[[1.0, 1.0, -1.0, -1.0]], stiffness=2.0)
+    assert where_safe(scene, verlet, Declared()) == any_shape
+    scene.add_cells([[0, 1, 2, 3]], bulk_modulus=50.0)
+    stay = "however springs deform, while cells stay about as they are"
+    assert where_safe(scene, verlet, Declared()) == stay
+    assert where_safe(scene, named("tr_bdf2"), Declared()) == any_shape
+    own = Declared(Rates(3.0, 0.0))
+    assert where_safe(scene, verlet, own) == stay.replace("cells", "cells and user-defined forces")
+    with simulate(scene, integrator="verlet", contacts="off") as sim:
+        assert f"s, {stay}" in "\n".join(check.lines(sim))

@@ -15,11 +15,13 @@ from scene_keys import PAGE, page
 from typer.testing import CliRunner
 
 import taichi_sim as ts
+from taichi_sim.analysis.methods import BUILT_IN_RULES
 from taichi_sim.cli.main import main
+from taichi_sim.contacts import CONTACT_RULES
 from taichi_sim.files.json_schema import scene_schema
 from taichi_sim.files.source import checked_output, demos, open_scene
 from taichi_sim.files.toml_reader import tomllib
-from taichi_sim.files.toml_schema import ALIASES
+from taichi_sim.files.toml_schema import ALIASES, Simulation
 
 pytestmark = pytest.mark.once
 
@@ -312,3 +314,8 @@ def test_an_output_that_lies_deep_is_refused():
     scene.output = {"camera": {"eye": inner}}
     with pytest.raises(ts.SceneError, match=r"^scene\.output: has lists or tables within each other, too deep"):
         checked_output(scene)
+
+
+def test_contact_rules_have_one_list_of_names():
+    assert sorted(BUILT_IN_RULES) == sorted(CONTACT_RULES)
+    assert Simulation.model_json_schema()["properties"]["contacts"]["enum"] == ["auto", *BUILT_IN_RULES]

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+import taichi as ti
 from own_methods import Declared
 from physics_support import EPS, PRECISION, simulate, vector
 from scene_files import assert_refused, assert_unchanged
@@ -11,6 +12,7 @@ from trajectories import pierced
 
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
+from taichi_sim.forces.sum import KERNELS
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -470,3 +472,30 @@ def test_what_tore_is_not_counted_as_inverted_and_took_energy():
         assert diagnostics.inverted(sim.scene, sim.position) == 1
         assert sim.inverted() == 0
         assert "tearing" in sim.scales().takers
+
+
+@ti.data_oriented
+class Draught:
+    """A constant force [N] on every ball, no element of corners."""
+
+    name, elastic = "wind", False
+
+    def __init__(self, model, fields):
+        pass
+
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] += h * ti.Vector([0.0, 0.0, 3.0])
+
+
+def test_a_built_in_force_that_is_no_list_of_corners_lets_springs_tear(monkeypatch):
+    monkeypatch.setitem(KERNELS, "wind", Draught)
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0]], radius=0.01, mass=2.0)
+    scene.add_springs([[0, 1]], stiffness=10.0, break_strain=0.5)
+    scene.add_triangles([[0, 1, 2]])
+    scene.add_wind((0.0, 0.0, 1.0))
+    with simulate(scene, dt=1e-3, contacts="off") as sim:
+        sim.run(0.2)
+        assert sim.velocity[:, 2] == pytest.approx(0.3, rel=1e-4)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scene_files import assert_unchanged
 
+import taichi_sim as ts
 from taichi_sim import Scene, SceneError, shapes
 from taichi_sim.analysis.diagnostics import energy
 from taichi_sim.geometry.mesh import Surface
@@ -466,6 +467,22 @@ def test_color_is_colour():
     assert scene.colour[[balls[0], 3]].tolist() == [[1, 0, 0], [0, 1, 0]]
     with pytest.raises(TypeError, match="got colour and color"):
         shapes.cloth(scene, colour=(1, 0, 0), color=(1, 0, 0))
+
+
+def test_center_is_centre():
+    hub = [0.5, 2.0, 0.25]
+    wheels = [shapes.wheel(Scene(dim=3), radius=1.0, **{word: hub}) for word in ("centre", "center")]
+    assert wheels[0].balls.tolist() == wheels[1].balls.tolist()
+    scene = Scene(dim=3)
+    wheel = shapes.wheel(scene, center=hub, radius=1.0)
+    assert scene.position[wheel.balls[0]].tolist() == hub
+    scene.add_collider(ts.Sphere(centre=hub, radius=0.25, color=(1, 0, 0)))
+    scene.add_collider(ts.Box(hub, size=(1, 1, 1), colour=(1, 0, 0)))
+    for one in scene.colliders:
+        assert one.motion.at(0.0)[0][0].tolist() == hub
+        assert one.colour == (1, 0, 0)
+    with pytest.raises(TypeError, match="got center and centre"):
+        ts.Box(centre=hub, center=hub, size=(1, 1, 1))
 
 
 def test_a_narrow_fold_of_rope_says_how_many_balls_help():
