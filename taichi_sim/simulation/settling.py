@@ -20,6 +20,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.common.quantities import measured, percent
 from taichi_sim.common.warn import warn
 from taichi_sim.files.checkpoint import parts_of, scene_of
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 
@@ -35,8 +36,9 @@ LONGEST_STEP = 1.0 / 30.0  # s, of implicit steps
 class Settled(NamedTuple):
     """Result of settling. residual [N]: the largest net force that is left on a ball that is not pinned, where steps were
     implicit without what springs take back within a step; load [N]: what it is compared with, the mean weight of these balls, or,
-    without gravity, the largest net force at the start; time [s]: simulated on the way; stops: how often velocities were set to
-    0; reached: whether the residual is within the tolerance."""
+    without gravity, the largest net force at the start, and at least what makes a force of
+    rounding one that is allowed; time [s]: simulated on the way; stops: how often velocities were set to 0;
+    reached: whether the residual is within the tolerance."""
 
     residual: float
     load: float
@@ -103,6 +105,22 @@ def settle(
     return position, found
 
 
+def _force_of_rounding(scene: Scene, precision: str) -> float:
+    """The largest net force [N] on a free ball that rounding of places may make: that of each spring and element, added up."""
+    eps = float(np.finfo(np.float32 if precision == "f32" else np.float64).eps)
+    stiff = np.zeros(scene.n_balls)
+    np.add.at(stiff, scene.pairs, scene.stiffness[:, None])
+    for one in ELEMENTS:
+        if not one.acts(scene):
+            continue
+        for corners, gradient, strength in one.stiffness(scene):
+            size = np.linalg.norm(gradient, axis=2)
+            np.add.at(stiff, corners, strength[:, None] * size * size.sum(axis=1, keepdims=True))
+        balls = np.unique(one.corners(scene))
+        stiff[balls] += one.further_rates(scene)[0] * scene.mass[balls]  # a bound: K_ii is at most lambda(M^-1 K) m_i
+    return eps * float(np.abs(scene.position).max()) * float(stiff[~scene.pinned].max())
+
+
 def _rounding_step(scene: Scene, position: NDArray[np.float64], allowed: float) -> float:
     """The step [s] in which the net force `allowed` [N] moves a ball of the mean mass by as much as single precision rounds
     places by, twice over. What rounding stretches springs by pushes balls back and forth within it, and averages out."""
@@ -152,7 +170,8 @@ def _damp(simulation: Any, tolerance: float, longest: float, load: float) -> tup
         spent += dt
         pushed = simulation.velocity[free]
         residual = float(np.linalg.norm(mass[free] * pushed, axis=1).max()) / dt
-        load = load or residual
+        # without weights; what rounding of places makes is no force that could be brought down
+        load = load or max(residual, _force_of_rounding(scene, simulation.backend.precision) / tolerance)
         found = Settled(residual, load, spent, stops, residual <= tolerance * load)
         least, since = (residual, 0) if residual < BETTER * least else (least, since + 1)
         if found.reached or since > PATIENCE or spent > longest:

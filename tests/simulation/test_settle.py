@@ -206,3 +206,17 @@ def test_the_force_that_is_left_is_what_balls_feel(tmp_path, method, stiffness, 
         sim.save(tmp_path / "state.npz")
     with ts.Simulation.restore(tmp_path / "state.npz") as sim:
         sim.step(1)
+
+
+@pytest.mark.parametrize("kind", ["jelly", "cloth"])
+def test_what_has_no_weight_and_no_strain_is_at_rest(kind):
+    """All that pushes its balls is rounding, which is not compared with itself."""
+    scene = ts.Scene(dim=3)
+    if kind == "jelly":
+        ts.shapes.jelly(scene, size=(0.3, 0.2, 0.2), resolution=(4, 3, 3), young_modulus=7e4, density=900.0)
+    else:
+        ts.shapes.cloth(scene, size=(0.3, 0.2), resolution=(6, 5), young_modulus=7e4, thickness=2e-3, mass_per_area=0.3)
+    with ts.Simulation(scene) as sim:
+        found = sim.settle(1e-3)
+    assert found.reached
+    assert found.stops == 1
