@@ -174,10 +174,10 @@ def angular_speed(spin, dim: ti.template()):
 
 @ti.func
 def allowance(walls: ti.template(), i, k, n, point, after, begin, settled, floor, place):
-    """Depth [m] to which ball i may sink into collider k along n while it moves: a little where it rests on it, or where `point`,
-    at which it would meet it `after` seconds into the step, lies no higher than what it rests on: there it is borne. begin: where
-    the step began. settled, floor, place: the collider on which it came to rest within this step, its normal there, and
-    where; other faces of it are met as any."""
+    """Depth [m] to which ball i may sink into collider k, whose normal is n, before the move stops it. It is 0 unless the ball
+    rests on the collider, or something else that it rests on bears it at `point`, the place at which it would meet the collider
+    `after` seconds into the step. begin: the ball's place at the start of the step. settled, floor, place: the collider on which
+    it came to rest within this step, its normal there, and where; other faces of it are met as any."""
     r = walls.model.radius[i]
     sink, depth = RESTING_SINK * r, 0.0 * r
     at, planes = walls.collider_contacts, walls.planes.count

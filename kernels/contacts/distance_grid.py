@@ -233,8 +233,9 @@ def thin_out(triangle: ti.template(), listed: ti.template(), away: ti.template()
 
 @ti.func
 def is_double(triangle: ti.template(), listed: ti.template(), c, s, number, p, width):
-    """True if triangle s of row c, so many, is nowhere in a cell, this wide [m] around p, nearer than another one to keep: all of
-    the cell is closest to the same side or corner of it, which is one of the other, too."""
+    """True if entry s of list c, which has `number` entries, can be left out of a cell: nowhere in the cell, `width` [m] wide
+    around p, is its triangle nearer than another one that is kept. That is so where all of the cell is closest to one side or
+    corner of the triangle, which the other one shares."""
     at, feature = WIDTH * unmarked(listed[c, s]) + CORNERS, only_feature(triangle, unmarked(listed[c, s]), p, width)
     one, two = feature - AT_CORNER, feature - AT_CORNER
     if feature < AT_CORNER:

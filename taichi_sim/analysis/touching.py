@@ -26,8 +26,8 @@ def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float
 
 
 def overlap_at_start(scene: Scene, position: NDArray, time: float, ball: int, part: float) -> float:
-    """Overlap at the start, as a part of the smaller radius, of ball number `ball` and the ball that it touches by `part` at
-    position (n, dim) [m] and `time` [s]; 0 where it touches something else."""
+    """Overlap that two balls had at the start of the scene, as a part of the smaller radius: ball number `ball`, and the one that
+    it overlaps by `part` now, at position (n, dim) [m] and `time` [s]. 0 where what it overlaps now is no ball."""
     what = _found(scene, position, time, ball, part)
     before = {name: deep for deep, name in _touched(scene, scene.position, 0.0, ball)}
     return before.get(what, 0.0) if what.startswith("ball") else 0.0

@@ -428,7 +428,8 @@ def what_is_allowed(problem: Mapping[str, Any]) -> str:
 
 
 def keys_at(path: Sequence[str | int]) -> list[str]:
-    """The keys that the table has in which the last name of a path stands."""
+    """Keys that may stand beside the last name of a path: for ("balls", 0, "masss") all keys of the table `balls`. Empty for a
+    table that is not known."""
     tables: dict[str, Any] = {"simulation": Simulation, "output": Output, **TABLES}
     model = tables.get(str(path[0])) if len(path) > 1 else Document
     return [] if model is None else list(model.model_fields)

@@ -12,7 +12,7 @@ from taichi_sim.outputs.growing import Growing
 from taichi_sim.outputs.parts import Parts, in_3d
 from taichi_sim.render.palette import body_colours
 
-BOX = 4.0  # of the longest side of the scene: bonds across half a box would be shown the other way around
+BOX_SIDE = 4.0  # of the longest side of the scene: bonds across half a box would be shown the other way around
 
 
 class Trajectory(Growing):
@@ -56,7 +56,7 @@ class Trajectory(Growing):
         assert self._parts is not None
         x = in_3d(frame.position)
         one = self._hoomd.Frame()
-        reach = BOX * float(np.abs(x).max(initial=0.0) + frame.radius.max(initial=0.0))
+        reach = BOX_SIDE * float(np.abs(x).max(initial=0.0) + frame.radius.max(initial=0.0))
         self._box = float(
             np.float32(max(self._box, reach or 1.0))
         )  # what equals the first frame's is not written again

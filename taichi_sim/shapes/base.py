@@ -157,7 +157,8 @@ class Part:
 
 
 def surface_part(shape: str, surface_collision: Any) -> float:
-    """The part of its usual radius that a ball has by default: 1, or less where triangles collide. Raises SceneError."""
+    """Default ball radius of a shape with `surface_collision`, as a part of that without [1]; 1 where it is False. Raises
+    SceneError where it is no truth value."""
     return SURFACE_PART if validation.flags(f"{shape}.surface_collision", surface_collision, 1)[0] else 1.0
 
 

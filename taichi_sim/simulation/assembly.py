@@ -345,7 +345,7 @@ class Assembly:
         return 0 if pairs is None else int(pairs.grid.searches[0])
 
     def lacking(self) -> ContactCapacity | None:
-        """Entries that contacts need where they did not all fit since the last call, else None."""
+        """Capacity that contact lists need where one overflowed since the last call, else None."""
         return lacking(self.contacts, self.capacity)
 
     def with_capacity(self, needed: ContactCapacity) -> "Assembly":

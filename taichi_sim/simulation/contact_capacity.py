@@ -32,7 +32,8 @@ NO_CAPACITY_KNOWN = ContactCapacity()
 
 
 def lacking(contacts: ContactRule, known: ContactCapacity) -> ContactCapacity | None:
-    """Entries that contacts need where they did not all fit since the last call, else None."""
+    """Capacity that contact lists need, `known` with larger numbers for the lists that overflowed since the last call; None where
+    all fitted."""
     found = {}
     for name in ContactCapacity._fields:
         part = getattr(contacts, name)

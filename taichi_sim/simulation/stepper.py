@@ -163,7 +163,7 @@ class Stepper:
         self.mark = self.steps
 
     def new_chunk(self) -> None:
-        """Let a chunk begin with this step, anew from what is kept."""
+        """Begin a chunk, the steps that run before the state is checked again, with this step, from the state last kept."""
         self._begun = False
         self.gained_before = self.gained
         self.end = self.steps + max(1, self.chunk // self.substeps)
