@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 MOST_BODIES = 1_000_000
-METHODS = ("auto", *BUILT_IN_METHODS)
+METHODS, RULES = ("auto", *BUILT_IN_METHODS), ("auto", *BUILT_IN_RULES)
 
 # the shapes a scene file may name, in the order in which they are added
 SHAPES: dict[str, Callable[..., shapes.Shape]] = {
@@ -111,7 +111,7 @@ class Simulation(Strict):
     arch: Literal["auto", "cpu", "cuda", "vulkan", "metal"] = _key(
         "auto", "what computes; auto: a GPU if one works, else the CPU"
     )
-    contacts: Literal[tuple(["auto", *BUILT_IN_RULES])] = _key("auto", "how contacts are solved")  # type: ignore[valid-type]
+    contacts: Literal[RULES] = _key("auto", "how contacts are solved")  # type: ignore[valid-type]
     contact_iterations: PositiveInt | Literal["auto"] = _key("auto", "of each contact solve; more make contacts harder")
     accumulate: Literal["auto", "ordered", "gather", "atomic"] = _key("auto", "in which order impulses are added")
     driver: Literal["auto", "fused", "parallel"] = _key(
