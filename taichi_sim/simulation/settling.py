@@ -35,8 +35,8 @@ LONGEST_STEP = 1.0 / 30.0  # s, of implicit steps
 
 class Settled(NamedTuple):
     """Result of settling. residual [N]: the largest net force that is left on a ball that is not pinned, where steps were
-    implicit without what springs take back within a step; load [N]: what it is compared with, the mean weight of these balls. Without
-    gravity it is the largest net force at the start, and at least so large that forces of rounding are allowed. time [s]:
+    implicit without what springs take back within a step; load [N]: what it is compared with, the mean weight of these balls.
+    Without gravity it is the largest net force at the start, and at least so large that forces of rounding are allowed. time [s]:
     simulated on the way; stops: how often velocities were set to 0; reached: whether the residual is within the tolerance."""
 
     residual: float

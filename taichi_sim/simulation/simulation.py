@@ -244,7 +244,8 @@ class Simulation(Reader):
         What is driven stands still meanwhile, as it does at the start, and wind has no gusts; that needs the clock to be at 0.
 
         Args: tolerance: the largest net force that may be left on a ball, as a part of the mean weight of a ball (without
-            gravity, of the largest net force at the start, and more where rounding pushes). longest: simulated seconds on the way; then it warns and stops.
+            gravity, of the largest net force at the start, and more where rounding pushes). longest: simulated seconds on the
+            way; then it warns and stops.
 
         Returns what is left, which `settled` keeps until positions or velocities are set. Raises UnstableError, and SceneError
         where something is driven after the start.
