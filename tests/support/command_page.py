@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from click import Group
+from typer.core import TyperGroup
 from typer.main import get_command
 
 from taichi_sim.cli.main import main
@@ -13,7 +13,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "command.md"
 def commands():
     """Name to command, in the order of `taichi-sim --help`."""
     group = get_command(main)
-    assert isinstance(group, Group)
+    assert isinstance(group, TyperGroup)
     return group.commands
 
 
