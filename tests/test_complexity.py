@@ -13,7 +13,7 @@ pytestmark = pytest.mark.once
 
 ROOT = Path(__file__).parents[1]
 # functions beyond the linter's limits: complexity 10, 12 branches, 5 arguments, 50 statements. Fewer: write the number here
-BEYOND = {"C901": 59, "PLR0912": 28, "PLR0913": 245, "PLR0915": 16}
+BEYOND = Counter({"C901": 59, "PLR0912": 28, "PLR0913": 245, "PLR0915": 16})
 
 
 def test_no_more_functions_are_beyond_the_limits():
@@ -21,4 +21,4 @@ def test_no_more_functions_are_beyond_the_limits():
     rules = f"--select={','.join(BEYOND)}"
     command = [linter, "check", "--isolated", "--exit-zero", "--output-format=json", rules, "taichi_sim", "kernels"]
     found = json.loads(subprocess.run(command, cwd=ROOT, check=True, capture_output=True).stdout)
-    assert Counter(one["code"] for one in found) == BEYOND
+    assert Counter(one["code"] for one in found) <= BEYOND
