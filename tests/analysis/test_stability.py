@@ -116,7 +116,7 @@ def energies(scene, x, v, owner):
 
 
 def checked(scene, **settings):
-    """What `check` says of a scene without contacts."""
+    """Lines that `check` prints for a scene without contacts."""
     with simulate(scene, contacts="off", **settings) as sim:
         return "\n".join(check.lines(sim))
 
