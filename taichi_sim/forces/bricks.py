@@ -6,7 +6,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.neo_hookean import NeoHookean
-from taichi_sim.scene.bricks import laws
+from taichi_sim.scene.bricks import WARP, laws
 from taichi_sim.scene.neo_hookean import constants, lame
 
 __all__ = ["Bricks"]
@@ -115,7 +115,10 @@ class Bricks(NeoHookean):
     def _bending(self, q, law, real: ti.template()):
         """Derivative of E / 2 by Q, (2^dim, dim): of strains that are linear along a side, see scene.bricks.stabilisation."""
         t = ti.Matrix.zero(real, self.k, self.dim)
-        slope = law.slope
+        slope, shears = law.slope, ti.cast(0.0, real)
+        if ti.static(self.dim == 3):
+            for d, e, p, r in ti.static(self.bends):
+                shears += slope[d] * q[p, e] + slope[e] * q[r, d]
         for bend in ti.static(self.bends):
             if ti.static(self.dim == 2):
                 d, p = ti.static(bend)
@@ -123,7 +126,7 @@ class Bricks(NeoHookean):
             else:
                 d, e, p, r = ti.static(bend)
                 along, across = slope[d] * q[p, d], slope[e] * q[r, e]
-                shear = law.mu / 3.0 * (slope[d] * q[p, e] + slope[e] * q[r, d])
+                shear = law.mu / 3.0 * ((1.0 - WARP) * (slope[d] * q[p, e] + slope[e] * q[r, d]) + WARP * shears)
                 t[p, d] += law.plate / 3.0 * slope[d] * (along + law.ratio * across)
                 t[r, e] += law.plate / 3.0 * slope[e] * (across + law.ratio * along)
                 t[p, e] += slope[d] * shear

@@ -94,6 +94,32 @@ def test_bars_of_bricks_bend_as_theory_says_at_every_ratio(across, within):
         assert found == pytest.approx(1.0, abs=within), ratio
 
 
+def torsion_constant(width, depth):
+    """Saint-Venant's torsion constant [m^4] of a rectangle (Timoshenko and Goodier, Theory of Elasticity)."""
+    low, high = sorted((width, depth))
+    odd = np.arange(1, 40, 2)
+    series = np.sum(np.tanh(0.5 * np.pi * odd * high / low) / odd**5)
+    return high * low**3 * (1 / 3 - 64 * low / (np.pi**5 * high) * series)
+
+
+@pytest.mark.parametrize(
+    ("bricks", "sides", "within"),
+    [((1, 1), (0.7, 0.7), 1e-3), ((1, 1), (0.7, 2.1), 0.02), ((1, 3), (0.7, 2.1), 0.06), ((2, 2), (0.7, 0.7), 0.15)],
+)
+def test_bars_of_bricks_twist_as_theory_says(bricks, sides, within):
+    """Both ends turn as plates whose points may leave their planes."""
+    points, corners = lattice((12, *bricks))
+    points = points * [0.7, *np.divide(sides, bricks)] - [0.0, *np.divide(sides, 2)]
+    length, ratio = points[:, 0].max(), 0.4
+    whole = of_bricks(points, corners, 5.0, ratio)[0]
+    end = (points[:, 0] == 0.0) | (points[:, 0] == length)
+    given = np.stack([np.arange(len(points)) == 0, end, end], axis=1).ravel()
+    u = (points[:, :1] / length * np.cross([1.0, 0.0, 0.0], points)).ravel()
+    u[~given] = spsolve(whole[~given][:, ~given], -whole[~given][:, given] @ u[given])
+    exact = 5.0 / (2 * (1 + ratio)) * torsion_constant(*sides) / length
+    assert u @ whole @ u == pytest.approx(exact, rel=within)
+
+
 @pytest.mark.parametrize(
     ("across", "within", "ratios"), [(2, 0.12, (0.25, 0.45, 0.49)), (4, 0.05, (0.25, 0.45, 0.49, 0.4999))]
 )
