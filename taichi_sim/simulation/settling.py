@@ -58,7 +58,7 @@ class Settled(NamedTuple):
     def __str__(self) -> str:
         if not self.load:
             return "at rest, no net force"
-        part = f"{percent(self.residual / self.load)} of a ball's mean weight"
+        part = f"{percent(self.residual / self.load)} of a load of {measured(self.load, unit='N')}"
         left = f"largest net force {measured(self.residual, unit='N')}, {part}"
         how = f"after {self.stops} stops in {self.time:.3g} s of motion"
         return f"at rest, {left}, {how}" if self.reached else f"not at rest, {left}, {how}"
