@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
-import os
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +45,14 @@ CROSSING: dict[
     2: (((0, 0), (1, 0), (1, 1)), ((1, 0), (1, 1), (0, 1)), ((1, 1), (0, 1), (0, 0)), ((0, 1), (0, 0), (1, 0))),
     3: (((0, 0, 0), (1, 1, 0), (0, 1, 1), (1, 0, 1)), ((1, 1, 1), (0, 1, 0), (1, 0, 0), (0, 0, 1))),
 }
+
+# fTetWild in a process and a folder of its own: some meshes end its process, and it leaves a file where it runs
+FILL = """
+import numpy, pytetwild
+with numpy.load("surface.npz") as given:
+    points, cells = pytetwild.tetrahedralize(**{name: one if one.ndim else float(one) for name, one in given.items()})
+numpy.savez("filled.npz", points=points, cells=cells)
+"""
 
 
 class Boxes(NamedTuple):
@@ -237,42 +245,33 @@ def connected(filled: NDArray[np.bool_], least: float = 0.02) -> NDArray[np.bool
 
 def tetrahedra(where: str, surface: Surface, edge: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Points (n, 3) m and tetrahedra (c, 4), of positive volume and about `edge` m long, that fill a closed mesh (fTetWild)."""
-    try:
-        import pytetwild
-    except ImportError:
+    if importlib.util.find_spec("pytetwild") is None:
         says = 'tetrahedra need one more package: pip install "taichi-sim[mesh]"; or use fill = "voxels"'
-        raise SceneError(f"{where}.fill", says=says) from None
+        raise SceneError(f"{where}.fill", says=says)
     size, low = float(np.ptp(surface.vertices, axis=0).max()), surface.vertices.min(axis=0)
     unit = (surface.vertices - low) / size  # what is very small ends it without a word
     edge = edge / size
     across = float(np.linalg.norm(np.ptp(unit, axis=0)))
-    try:
-        with _elsewhere():
-            points, cells = pytetwild.tetrahedralize(
-                unit, surface.triangles, edge_length_abs=edge, epsilon=ENVELOPE * edge / across
-            )
-    except Exception as error:  # foreign code may raise anything
-        says = f'cannot be filled with tetrahedra: {error}; use fill = "voxels"'
-        raise SceneError(f"{where}.mesh", says=says) from error
-    points, cells = np.asarray(points, dtype=np.float64) * size + low, np.asarray(cells, dtype=np.int64)
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(
+            f"{folder}/surface.npz",
+            vertices=unit,
+            faces=surface.triangles,
+            edge_length_abs=edge,
+            epsilon=ENVELOPE * edge / across,
+        )
+        done = subprocess.run([sys.executable, "-c", FILL], cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode:
+            why = (done.stderr.strip().splitlines() or [f"fTetWild ended with status {done.returncode}"])[-1]
+            raise SceneError(f"{where}.mesh", says=f'cannot be filled with tetrahedra: {why}; use fill = "voxels"')
+        with np.load(f"{folder}/filled.npz") as filled:
+            points, cells = filled["points"].astype(np.float64) * size + low, filled["cells"].astype(np.int64)
     if not len(cells):
         raise SceneError(f"{where}.mesh", says='no tetrahedron fits into it; use fill = "voxels", or a smaller spacing')
     used, new = np.unique(cells, return_inverse=True)
     points, compact = points[used], new.reshape(-1, 4).astype(np.int32)
     turned = cell_volumes(points, compact) < 0
     return points, np.where(turned[:, None], compact[:, [1, 0, 2, 3]], compact).astype(np.int64)
-
-
-@contextmanager
-def _elsewhere() -> Iterator[None]:
-    """Run the block in a folder that vanishes: fTetWild leaves a file __tracked_surface.stl where it runs."""
-    before = os.getcwd()
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
-        try:
-            yield
-        finally:
-            os.chdir(before)
 
 
 def simplices(points: NDArray[np.float64], cells: NDArray[np.int64]) -> Simplices:

@@ -15,6 +15,7 @@ from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.scene.bricks import corner_volumes
 from taichi_sim.scene.cells import cell_volumes
 from taichi_sim.scene.neo_hookean import lame
+from taichi_sim.shapes import jelly_material
 from taichi_sim.shapes.jelly_material import box_surface, connected, inside, simplices, skin_of_tetrahedra
 
 pytestmark = pytest.mark.once
@@ -311,6 +312,17 @@ def test_a_mesh_filled_with_tetrahedra(tmp_path, monkeypatch):
     skin = scene.embedded_surfaces[0]
     assert np.einsum("sk,ski->si", skin.weights, scene.position[skin.corners]) == pytest.approx(ball.vertices, abs=1e-9)
     assert not list(tmp_path.iterdir())  # fTetWild writes a file where it runs
+
+
+@pytest.mark.parametrize(
+    ("ends", "says"),
+    [("import os; os.abort()", "ended with status -6"), ("raise ValueError('no box')", "ValueError: no box")],
+)
+def test_a_filler_that_ends_its_process_is_a_mistake_of_the_mesh(monkeypatch, ends, says):
+    monkeypatch.setattr(jelly_material.importlib.util, "find_spec", lambda name: True)
+    monkeypatch.setattr(jelly_material, "FILL", ends)
+    with pytest.raises(SceneError, match=rf"jelly\.mesh: cannot be filled with tetrahedra: .*{says}"):
+        shapes.jelly(Scene(dim=3), mesh=icosphere(1), fill="tetrahedra")
 
 
 def test_an_open_mesh_without_an_inside_is_not_blamed_on_the_spacing():
