@@ -7,6 +7,7 @@ import numpy as np
 from taichi_sim.analysis import contact_loads, rebounds, sieves, strikes, turning
 from taichi_sim.analysis.accuracy import NEARER, Setup, single_precision
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
+from taichi_sim.analysis.outcome import DEEP, STARTS_DEEP
 from taichi_sim.analysis.stability import (
     coarsest_spring,
     overload_step,
@@ -14,6 +15,7 @@ from taichi_sim.analysis.stability import (
     sinking_spring,
     sinking_step,
 )
+from taichi_sim.analysis.touching import overlap_of_bodies
 from taichi_sim.common.quantities import at_most
 from taichi_sim.scene.bending import BENDING
 from taichi_sim.scene.elements import ELEMENTS
@@ -48,6 +50,8 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
             )
     if setup.rule != "off":
         yield from map(sieves.through, sieves.sieves(scene))
+        if where := overlap_of_bodies(scene, DEEP):
+            yield f"overlap: {where}; {STARTS_DEEP}, or energy comes out of it"
         if (part := rebounds.returned(scene, setup.impacts)) > MOST_RETURNED:
             yield f"rebound: {rebounds.sentence(part)}; {rebounds.cure(scene)}"
     yield from _of_pins(scene, h)

@@ -9,7 +9,7 @@ from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["further_overlap", "may_collide", "may_touch", "overlap", "overlap_at_start"]
+__all__ = ["further_overlap", "may_collide", "may_touch", "overlap", "overlap_at_start", "overlap_of_bodies"]
 
 ALIKE = 0.02  # of an overlap: kernels find it in single precision
 
@@ -65,36 +65,60 @@ def further_overlap(scene: Scene, finer: Scene) -> str:
     return f"{words} overlap at the start" if most > ALIKE else ""
 
 
-def _overlaps(scene: Scene) -> dict[tuple[int, int], tuple[float, str]]:
+def overlap_of_bodies(scene: Scene, least: float) -> str:
+    """Words on the deepest overlap of balls of two bodies at the start, by `least` of the smaller radius or more; empty where
+    there is none. Bodies: objects whose balls are joined. Slow only for balls within the box around another body."""
+    joined = scene.joined()
+    bodies = [one.balls for one in scene.objects if joined[one.balls].all()]
+    if len(bodies) < 2:
+        return ""
+    reach = float(scene.radius.max())
+    low = np.array([scene.position[balls].min(axis=0) for balls in bodies]) - reach
+    high = np.array([scene.position[balls].max(axis=0) for balls in bodies]) + reach
+    which = np.zeros(scene.n_balls, dtype=bool)
+    for k, balls in enumerate(bodies):
+        near = ((low < high[k]) & (low[k] < high)).all(axis=1)
+        near[k] = False
+        for other in np.flatnonzero(near):
+            x = scene.position[balls]
+            which[balls] |= ((low[other] < x) & (x < high[other])).all(axis=1)
+    deep, words = max(_overlaps(scene, which).values(), default=(0.0, ""))
+    return f"{words} overlap by {deep:.2g} of the smaller radius at the start" if deep >= least else ""
+
+
+def _overlaps(scene: Scene, which: NDArray[np.bool_] | None = None) -> dict[tuple[int, int], tuple[float, str]]:
     """The deepest overlap of balls at the start, as a part of the smaller radius, of every two objects whose contacts act, and
-    the balls in words; objects by their numbers, -1: balls of none."""
+    the balls in words; objects by their numbers, -1: balls of none. which: mask (n,) of balls; None: all, and within an object."""
     part_of = np.full(scene.n_balls, -1)
     for k, one in enumerate(scene.objects):
         part_of[one.balls] = k
     found: dict[tuple[int, int], tuple[float, str]] = {}
-    for i, j, deep in _overlapping(scene):
+    for i, j, deep in _overlapping(scene, np.arange(scene.n_balls) if which is None else np.flatnonzero(which)):
+        if which is not None and part_of[i] == part_of[j]:
+            continue
         both = min(part_of[i], part_of[j]), max(part_of[i], part_of[j])
         if deep > found.get(both, (0.0,))[0]:
             found[both] = deep, " and ".join(ball_in_words(scene.objects, k) for k in sorted((i, j)))
     return found
 
 
-def _overlapping(scene: Scene) -> Iterator[tuple[int, int, float]]:
-    """Pairs of balls that overlap at the start and that contacts part, and by how much of the smaller radius."""
+def _overlapping(scene: Scene, balls: NDArray[np.int64]) -> Iterator[tuple[int, int, float]]:
+    """Pairs of these balls that overlap at the start and that contacts part, and by how much of the smaller radius."""
     from scipy.spatial import cKDTree  # slow to import
 
     x, r = scene.position, scene.radius
     joins = np.concatenate([scene.pairs, unique_edges(scene.membranes)]).astype(np.int64)
     joined = np.unique(joins.min(axis=1) * scene.n_balls + joins.max(axis=1))
-    near = cKDTree(x).query_ball_point(x, 2.0 * r, return_sorted=False)  # of each pair the larger finds the other
-    for i, found in enumerate(near):
-        j = np.array(found)
+    # of each pair the larger finds the other
+    near = cKDTree(x[balls]).query_ball_point(x[balls], 2.0 * r[balls], return_sorted=False)
+    for i, found in zip(balls, near):
+        j = balls[found]
         j = j[(r[j] < r[i]) | ((r[j] == r[i]) & (j > i))]
         j = j[~(scene.pinned[i] & scene.pinned[j]) & ((scene.body[i] == 0) | (scene.body[i] != scene.body[j]))]
         j = j[((scene.group[i] & scene.mask[j]) != 0) & ((scene.group[j] & scene.mask[i]) != 0)]
         j = j[~np.isin(np.minimum(i, j) * scene.n_balls + np.maximum(i, j), joined)]
         deep = (r[i] + r[j] - np.linalg.norm(x[j] - x[i], axis=1)) / r[j]
-        yield from ((i, int(ball), float(part)) for ball, part in zip(j, deep) if part > 0.0)
+        yield from ((int(i), int(ball), float(part)) for ball, part in zip(j, deep) if part > 0.0)
 
 
 def may_collide(scene: Scene) -> bool:

@@ -24,8 +24,8 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 NOT_A_BOX = 1e-6  # of its size, how far a corner may lie off
-# How shears that are linear along two sides act on each other: a square bar of one brick with its free warp then has Saint-Venant's
-# torsion constant, 0.140577 a^4 in place of the a^4 / 6 of a section that stays flat
+# How shears that are linear along two sides act on each other: a square bar of one brick, free to warp, then has
+# Saint-Venant's torsion constant, 0.140577 a^4 in place of the a^4 / 6 of a section that stays flat
 WARP = 1.0 - 6.0 * 0.140577
 
 

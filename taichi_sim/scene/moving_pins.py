@@ -17,6 +17,8 @@ from taichi_sim.scene.motion import Keyframe, Motion, plain_path
 
 __all__ = ["MovingPins", "PinMethods"]
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingPins:
@@ -25,6 +27,13 @@ class MovingPins:
     balls: NDArray[np.int32]  # (k,)
     motion: Motion  # of their centre
     given: Mapping[str, Any]  # the arguments, for saving
+
+    def velocities(self, start: Floats, time: float, h: float) -> Floats:
+        """Velocities (k, dim) [m/s] that take the balls from where they are at `time` to where they are h seconds later, of
+        those that start at `start` (k, dim) [m]."""
+        x, turn = self.motion.at(np.array([0.0, time, time + h]))
+        arm = (start - x[0]) @ turn[0]
+        return np.asarray((x[2] - x[1] + arm @ (turn[2] - turn[1]).T) / h)
 
 
 class PinMethods:

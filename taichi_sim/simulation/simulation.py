@@ -127,6 +127,7 @@ class Simulation(Reader):
         self._still = scene.n_balls == 0
         self._moments = MomentsOf(scene)
         self.settled: Settled | None = None
+        self._lead_pins()
         self._begin_readings()
         if s.settle is not None:
             self.settle(s.settle)
@@ -507,9 +508,19 @@ class Simulation(Reader):
         self.settled = None  # not at rest any more
         if not self._still:
             self._state.write(x, v)
+            self._lead_pins()
             if moved:
                 self.parts.contacts.forget()
             self._stepper.begin_here()
+
+    def _lead_pins(self) -> None:
+        """Give driven pins the velocities that they move on with."""
+        if self.scene.moving_pins:
+            v = self.velocity
+            for pins in self.scene.moving_pins:
+                start = self.scene.position[pins.balls]
+                v[pins.balls] = pins.velocities(start, self.time, self._stepper.h)
+            self._state.set_values(self._state.ball.v, v)
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the scene, all arguments and the present state to an .npz file."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.analysis.touching import overlap
+from taichi_sim.analysis.touching import overlap, overlap_of_bodies
 
 pytestmark = pytest.mark.once
 
@@ -35,3 +35,15 @@ def test_what_moves_is_where_it_is_at_that_time():
     scene.add_moving_pins([0], path=[{"time": 0.0, "position": (0.0, 0.0)}, {"time": 9.0, "position": (0.0, 1.0)}])
     words = overlap(scene, np.array([[2.0, 1.0]]), 2.0, 0, 1.0)
     assert words == "moving pin 0 and collider 'globe' overlap by 1 of the smaller radius"
+
+
+@pytest.mark.parametrize(
+    ("apart", "pinned", "told"), [(0.1, False, True), (0.24, False, True), (0.1, True, False), (0.5, False, False)]
+)
+def test_bodies_in_one_place_are_told_of_before_a_run(apart, pinned, told):
+    """Not those that cannot move, nor those that are apart."""
+    scene = ts.Scene(dim=2)
+    block = {"size": (0.3, 0.2), "resolution": (4, 3), "young_modulus": 1e4, "poisson_ratio": 0.3, "pinned": pinned}
+    for k in range(2):
+        ts.shapes.jelly(scene, position=(k * apart, 0.01), **block)
+    assert ("of jelly_1) overlap by" in overlap_of_bodies(scene, 0.5)) == told

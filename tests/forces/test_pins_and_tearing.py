@@ -49,6 +49,10 @@ def test_pins_follow_their_path(method, driver):
     if method == "rk4" and driver == "parallel":
         pytest.skip("rk4 leads pins by the same kernel as verlet; one driver is enough")
     with simulate(driven(), ("ordered", driver), integrator=method, dt=1e-3, contacts="off") as sim:
+        for look in (lambda: sim.step(0), lambda: sim.set_velocity(np.ones((4, 2)))):
+            np.testing.assert_allclose(sim.velocity[:2], [[2.0, 1.0]] * 2, atol=40 * EPS)
+            look()
+        sim.set_velocity(np.zeros((4, 2)))
         for _ in range(4):
             sim.step(100)
             np.testing.assert_allclose(sim.position[:2], place(sim.time), atol=40 * EPS)
