@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
@@ -84,8 +83,7 @@ def _overlapping(scene: Scene) -> Iterator[tuple[int, int, float]]:
     from scipy.spatial import cKDTree  # slow to import
 
     x, r = scene.position, scene.radius
-    joins = np.concatenate([scene.pairs, unique_edges(scene.membranes)]).astype(np.int64)
-    joined = np.unique(joins.min(axis=1) * scene.n_balls + joins.max(axis=1))
+    joined = scene.excluded_pairs().astype(np.int64) @ [scene.n_balls, 1]
     near = cKDTree(x).query_ball_point(x, 2.0 * r, return_sorted=False)  # of each pair the larger finds the other
     for i, found in enumerate(near):
         j = np.array(found)

@@ -1,8 +1,7 @@
 """Scene files: TOML to Scene. The way back is `Scene.save`.
 
-Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
-wheel, pile, truss, net, balloon, tower, text, svg), springs, attachments, cells, bending, gases, moving pins, wind, walls,
-colliders, triangles, objects, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
+Tables are read in the order of scene.parts.PARTS, whatever their order in the file, and shapes after the balls, in that of
+shapes.BUILT_IN. Springs that name no group therefore count all balls in this order.
 """
 
 import inspect

@@ -56,27 +56,8 @@ __all__ = [
 MOST_BODIES = 1_000_000
 METHODS, RULES = ("auto", *BUILT_IN_METHODS), ("auto", *BUILT_IN_RULES)
 
-# the shapes a scene file may name, in the order in which they are added
-SHAPES: dict[str, Callable[..., shapes.Shape]] = {
-    function.__name__: function
-    for function in (
-        shapes.cloth,
-        shapes.jelly,
-        shapes.rope,
-        shapes.wheel,
-        shapes.pile,
-        shapes.truss,
-        shapes.net,
-        shapes.balloon,
-        shapes.tower,
-        shapes.text,
-        shapes.svg,
-    )
-}
-
-SHARED = {
-    name for function in SHAPES.values() for name in inspect.signature(function).parameters
-}  # arguments of shapes
+SHAPES: dict[str, Callable[..., shapes.Shape]] = {function.__name__: function for function in shapes.BUILT_IN}
+SHARED = {name for function in shapes.BUILT_IN for name in inspect.signature(function).parameters}  # their arguments
 
 Seconds = Annotated[FiniteFloat, Gt(0)]
 

@@ -27,7 +27,7 @@ def _gas_surfaces(scene: Scene) -> NDArray[np.int64]:
 def bodies_of(scene: Scene, ties: NDArray) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
     """Body (n,) of each ball, in the order of their lowest balls; which bodies (b,) nothing holds; which are joined.
 
-    ties: (k, 2) balls that elements join, see forces.incidence.Corners.
+    ties: (k, 2) balls that elements join, see forces.corners.Corners.
     Pinned balls join nothing. Each is listed with a body that it holds. Balls that nothing joins are one body together: the
     solution for each of them is exact.
     """

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.analysis.touching import overlap
+from taichi_sim.analysis.touching import further_overlap, overlap
 
 pytestmark = pytest.mark.once
 
@@ -35,3 +35,19 @@ def test_what_moves_is_where_it_is_at_that_time():
     scene.add_moving_pins([0], path=[{"time": 0.0, "position": (0.0, 0.0)}, {"time": 9.0, "position": (0.0, 1.0)}])
     words = overlap(scene, np.array([[2.0, 1.0]]), 2.0, 0, 1.0)
     assert words == "moving pin 0 and collider 'globe' overlap by 1 of the smaller radius"
+
+
+@pytest.mark.parametrize("kind", ["springs", "solids", "bricks", ""])
+def test_balls_of_one_element_that_never_collide_overlap_nothing(kind):
+    def scene(radius):
+        one = ts.Scene(dim=2)
+        one.add_balls([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3], [0.3, 0.3]], radius=radius)
+        if kind == "springs":
+            one.add_springs([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]], stiffness=1.0)
+        elif kind == "solids":
+            one.add_solids([[0, 1, 2], [1, 3, 2], [0, 1, 3]], young_modulus=1.0, poisson_ratio=0.3)
+        elif kind == "bricks":
+            one.add_bricks([[0, 2, 1, 3]], young_modulus=1.0, poisson_ratio=0.3)
+        return one
+
+    assert bool(further_overlap(scene(0.1), scene(0.26))) == (not kind)
