@@ -32,7 +32,7 @@ from pydantic_core import PydanticCustomError
 from taichi_sim import shapes
 from taichi_sim.analysis.methods import BUILT_IN_METHODS, BUILT_IN_RULES, VERLET
 from taichi_sim.common.docstrings import described, unit_of
-from taichi_sim.scene import colliders
+from taichi_sim.scene import collider_shapes
 from taichi_sim.scene.camera_path import MOST_APERTURE, CameraPath
 from taichi_sim.scene.looks import Look
 from taichi_sim.scene.overlay import Overlay
@@ -172,8 +172,8 @@ def _schema(annotation: Any) -> dict[str, Any]:
         return {"anyOf": [_schema(part) for part in rest] + NUMBERS["anyOf"] * arrays}
     if annotation is PathLike or origin is PathLike:
         return {"type": "string"}
-    if annotation in colliders.SHAPES.values():
-        return {COLLIDER: next(name for name, kind in colliders.SHAPES.items() if kind is annotation)}
+    if annotation in collider_shapes.SHAPES.values():
+        return {COLLIDER: next(name for name, kind in collider_shapes.SHAPES.items() if kind is annotation)}
     if is_typeddict(annotation) or is_dataclass(annotation):
         return _object(annotation)
     if origin is tuple and parts[-1:] != (Ellipsis,):
@@ -332,7 +332,7 @@ COLLIDERS: Mapping[str, type[BaseModel]] = {
         shape=(Literal[name], _key(..., "which shape it has")),  # type: ignore[valid-type]
         **(_many | _file if name == "mesh" else {}),
     )
-    for name, kind in colliders.SHAPES.items()
+    for name, kind in collider_shapes.SHAPES.items()
 }
 
 
