@@ -1,5 +1,5 @@
 """Elements: what exerts forces on balls besides gravity, springs and contacts. A further kind is a file like `bending.py`, a line
-in each list here, and its kernels in the room `forces`."""
+in each list here, and its kernels in a file of the room `forces` that has its name."""
 
 from __future__ import annotations
 
