@@ -139,8 +139,8 @@ class Bodies:
 
     @ti.func
     def join(self, columns: ti.template()):
-        """Add up the rows of parts in groups of neighbours, on a device, where a body may have many: `total` then reads one row for
-        each group. columns: fields of `columns`, whose rows of all parts are filled."""
+        """Add up the rows of parts in groups of neighbours, on a device, where a body may have many parts: `total` then reads one
+        row for each group. columns: fields of `columns`, whose rows of all parts are filled."""
         if ti.static(self.groups > 0):
             for g in range(self.groups):
                 for column in ti.static(columns):

@@ -1,5 +1,7 @@
 """Shapes of colliders by a formula: what each is called and takes, and beside it its form."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from typing import Any
 

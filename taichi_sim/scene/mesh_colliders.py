@@ -1,5 +1,7 @@
 """Colliders whose surface is triangles: meshes, and shapes of the user's own as they are drawn."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any, Literal

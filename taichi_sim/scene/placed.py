@@ -1,5 +1,7 @@
 """The part that all shapes of colliders share: where they stand, how they move, what they are made of."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, NamedTuple
@@ -53,7 +55,7 @@ class Placed:
             common = (Placed.__doc__ or "").partition("Args:\n")[2].rstrip()
             cls.__doc__ = f"{cls.__doc__.rstrip()}\n\n    Args of every shape, by name:\n{common}\n"
 
-    def __new__(cls, *_: Any, **given: Any) -> "Placed":
+    def __new__(cls, *_: Any, **given: Any) -> Placed:
         if "angular_velocity" in given:
             raise unknown_key(("colliders", "angular_velocity"), ("rotation_rate",))
         return object.__new__(cls)
