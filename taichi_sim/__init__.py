@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from taichi_sim.outputs import Output, open_output
     from taichi_sim.outputs.export import export
     from taichi_sim.outputs.quick import picture, video
-    from taichi_sim.scene.colliders import Box, Capsule, ColliderShape, Mesh, Sphere
+    from taichi_sim.scene.collider_shapes import Box, Capsule, Sphere
+    from taichi_sim.scene.mesh_colliders import ColliderShape, Mesh
     from taichi_sim.scene.scene import Scene
     from taichi_sim.scene.snapshot import Snapshot
     from taichi_sim.scene.spring_units import spring_from_rates
@@ -78,15 +79,15 @@ __all__ = [
 
 _MODULES = {
     "BackendError": "taichi_sim.common.errors",
-    "Box": "taichi_sim.scene.colliders",
-    "Capsule": "taichi_sim.scene.colliders",
-    "ColliderShape": "taichi_sim.scene.colliders",
+    "Box": "taichi_sim.scene.collider_shapes",
+    "Capsule": "taichi_sim.scene.collider_shapes",
+    "ColliderShape": "taichi_sim.scene.mesh_colliders",
     "ContactRule": "taichi_sim.contacts",
     "Element": "taichi_sim.forces.element",
     "Frame": "taichi_sim.analysis.frame",
     "Integrator": "taichi_sim.integrators",
     "LiveView": "taichi_sim.viewer.web",
-    "Mesh": "taichi_sim.scene.colliders",
+    "Mesh": "taichi_sim.scene.mesh_colliders",
     "Method": "taichi_sim.analysis.methods",
     "Output": "taichi_sim.outputs",
     "Pointer": "taichi_sim.forces.pointer",
@@ -94,7 +95,7 @@ _MODULES = {
     "SceneError": "taichi_sim.common.errors",
     "Simulation": "taichi_sim.simulation.simulation",
     "Snapshot": "taichi_sim.scene.snapshot",
-    "Sphere": "taichi_sim.scene.colliders",
+    "Sphere": "taichi_sim.scene.collider_shapes",
     "StabilityLimit": "taichi_sim.analysis.limits",
     "UnstableError": "taichi_sim.common.errors",
     "export": "taichi_sim.outputs",

@@ -4,9 +4,6 @@ Within a step a collider moves with constant velocity and angular velocity from 
 """
 
 from taichi_sim.kernels.contacts.colliders import (
-    BOX,
-    CUSTOM,
-    MESH,
     carried_back,
     distance,
     face_distance,
@@ -120,7 +117,7 @@ def is_convex(colliders: ti.template(), k, face, within):
     the rest."""
     convex = face != WHOLE or not within
     if ti.static(colliders.has_mesh or colliders.has_custom):
-        convex = convex and colliders.shape[k].kind != MESH and colliders.shape[k].kind != CUSTOM
+        convex = convex and colliders.shape[k].kind >= 0
     return convex
 
 
@@ -213,7 +210,7 @@ def first_collider(walls: ti.template(), i, x, v, a, since, limit, begin, settle
             if walls.colliders.collides_with(walls.model, i, k):
                 several = 0
                 if ti.static(walls.colliders.has_faces):
-                    if walls.colliders.shape[k].kind == BOX:
+                    if walls.colliders.shape[k].faces > 1:
                         _far, _away, inside = distance(
                             walls.colliders, k, local(walls.colliders, k, x, since), 0.0, False
                         )

@@ -10,7 +10,7 @@ from taichi_sim.kernels.vectors import lever
 
 from taichi_sim.device.engine import ti
 
-ROUND, BOX, MESH, CUSTOM = range(4)  # numbers of kinds, which scene/collider_forms.py names
+MESH, CUSTOM = -1, -2  # kinds; those by a formula are numbered from 0 on, see contacts/colliders.py
 CUT = -1  # number of a cell that is cut into eight
 ROUNDED = 0.5  # of a cell: what lies between corners of a grid is no further from the distance
 BEYOND_GRID = 1.4143  # times: what the border of a grid knows of a place beyond it is no more of the distance
@@ -133,9 +133,9 @@ def largest(q):
 
 
 @ti.func
-def box_distance(p, half):
-    """Distance of p from a solid box and the direction away from it."""
-    q = ti.abs(p) - half
+def box_distance(shape, p):
+    """Distance of p from the box |x| <= half and the direction away from it."""
+    q = ti.abs(p) - shape.half
     n = ti.max(q, 0.0)
     d = n.norm()
     if d > 0.0:
@@ -151,18 +151,18 @@ def box_distance(p, half):
 
 
 @ti.func
-def round_distance(p, half, radius):
+def round_distance(shape, p):
     """Signed distance [m] of p from the solid of all points within `radius` of a stretch of the x axis, and the direction out
     of it."""
     q = p
-    q[0] -= ti.max(-half[0], ti.min(half[0], p[0]))
+    q[0] -= ti.max(-shape.half[0], ti.min(shape.half[0], p[0]))
     d = q.norm()
     n = 0.0 * p
     if d > 0.0:
         n = q / d
     else:
         n[1] = 1.0
-    return d - radius, n
+    return d - shape.radius, n
 
 
 @ti.func
@@ -290,12 +290,9 @@ def distance(colliders: ti.template(), k, p, touch, exact):
     shape = colliders.shape[k]
     d, n = 0.0 * p[0], 0.0 * p
     within = False
-    if ti.static(colliders.has_round):
-        if shape.kind == ROUND:
-            d, n = round_distance(p, shape.half, shape.radius)
-    if ti.static(colliders.has_box):
-        if shape.kind == BOX:
-            d, n = box_distance(p, shape.half)
+    for number, distance_from in ti.static(colliders.solids):
+        if shape.kind == number:
+            d, n = distance_from(shape, p)
     if ti.static(colliders.has_mesh):
         if shape.kind == MESH:
             d, n = mesh_distance(colliders, shape, p, touch, exact)
@@ -316,7 +313,7 @@ def face_distance(colliders: ti.template(), k, face, p, d, n, within):
     """Distance and direction of one face of a hollow box from within; of anything else the one given."""
     if ti.static(colliders.has_faces):
         shape = colliders.shape[k]
-        if within and shape.kind == BOX:
+        if within and shape.faces > 1:
             for a in ti.static(range(p.n)):
                 if face // 2 == a:
                     sign = 1.0 - 2.0 * (face % 2)

@@ -2,7 +2,7 @@
 
 from taichi_sim.kernels.contacts import colliders as geometry
 from taichi_sim.kernels.contacts import warm_start
-from taichi_sim.kernels.contacts.colliders import BOX, MESH
+from taichi_sim.kernels.contacts.colliders import MESH
 
 from taichi_sim.device.engine import ti
 
@@ -39,13 +39,14 @@ def find(walls: ti.template(), x, v, i, crowded, h):
                 u = v - geometry.surface_velocity(walls.colliders, k, x, 0.0)
                 reach = ti.max(reach, FORESEEN_STEPS * h * u.norm(), FORESEEN_RADII * r)
             if walls.colliders.collides_with(walls.model, i, k) and geometry.near(walls.colliders, k, x, r + reach):
-                is_box = walls.colliders.shape[k].kind == BOX
-                for face in range(ti.select(is_box, walls.colliders.faces, 1)):
+                faces = 1
+                if ti.static(walls.colliders.has_faces):
+                    faces = walls.colliders.shape[k].faces
+                for face in range(faces):
                     d, n, within = seen_d, seen_n, False
                     if k != seen or exact:
                         d, n, within = walls.colliders.distance(k, face, x, 0.0, r, exact)
-                    several = within and is_box
-                    if d - r <= reach and (face == 0 or several):
+                    if d - r <= reach and (face == 0 or within):
                         for e in range(first, ti.select(ready, first, first + at.count)):
                             at.slot[e].gap = FAR_GAP
                             at.slot[e].key = EMPTY

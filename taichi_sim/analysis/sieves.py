@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.geometry.support import farthest
-from taichi_sim.scene.collider_forms import BOX, ROUND
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.collision_groups import meet
 from taichi_sim.scene.objects import ball_in_words, owner
@@ -25,6 +24,8 @@ DEEP_EDGE = (
     0.25  # of the radius: edges that come through cloth so far are spoken of; 90 degrees at the usual radius give 0.16
 )
 FLAT = 1e-9  # rad: edges of a sheet
+FACES_AROUND = 96  # of what is round about an axis
+SAME_PLACE = 1e-9  # of its extent: vertices that lie so close are one
 SLACK = 0.25  # strain up to which cloth that hangs on something opens
 
 
@@ -55,11 +56,23 @@ def holes(scene: Scene) -> tuple[Floats, Floats, Floats]:
 
 def _width(collider: Collider) -> tuple[float, bool]:
     """Half the width [m] of a solid collider where it is narrowest, and whether only between two rows of balls does it fit."""
+    told = collider.form.width(collider)
+    if told is not None:
+        return told
+    vertices, _ = _skin(collider)
+    hull = _hull(vertices)
+    corners, normals = vertices[hull.vertices], hull.equations[:, :3]
+    return 0.5 * float((farthest(corners, normals) + farthest(corners, -normals)).min()), True
+
+
+def _skin(collider: Collider) -> tuple[Floats, NDArray[np.int32]]:
+    """Vertices (v, 3) [m] and triangles (t, 3) of a collider's surface, which share the vertices at edges."""
+    vertices, triangles = collider.surface(FACES_AROUND)
     if collider.is_meshed:
-        hull = _hull(collider)
-        corners, normals = collider.vertices[hull.vertices], hull.equations[:, :3]
-        return 0.5 * float((farthest(corners, normals) + farthest(corners, -normals)).min()), True
-    return {BOX: (float(collider.half.min()), True), ROUND: (collider.radius, False)}[collider.kind]
+        return vertices, triangles
+    grid = np.round(vertices / (SAME_PLACE * collider.extent))
+    _, first, number = np.unique(grid, axis=0, return_index=True, return_inverse=True)
+    return vertices[first], number.ravel()[triangles].astype(np.int32)
 
 
 def _solids(scene: Scene) -> Iterator[tuple[int, Collider, NDArray[np.bool_]]]:
@@ -162,16 +175,10 @@ class _Edges(NamedTuple):
     @classmethod
     def of(cls, collider: Collider) -> "_Edges":
         """Those of a solid collider; none where it is round."""
-        if collider.is_meshed:
-            return cls._of_mesh(collider)
-        if collider.kind != BOX:
+        if collider.form.roundness(collider) > 0.0:
             return cls(*np.zeros((3, 0)))
-        one, other = 2.0 * collider.half, 2.0 * np.roll(collider.half, 1)  # of the faces at edges along each axis
-        return cls(np.full(3, 0.5 * math.pi), math.sqrt(0.5) * (one + other), np.minimum(one, other))
-
-    @classmethod
-    def _of_mesh(cls, collider: Collider) -> "_Edges":
-        corners, edges = collider.vertices[collider.triangles], Edges.of(collider.triangles)
+        vertices, triangles = _skin(collider)
+        corners, edges = vertices[triangles], Edges.of(triangles)
         sides = np.argsort(edges.of_side, kind="stable")
         sides = sides[edges.triangles[edges.of_side[sides]] == 2].reshape(-1, 2)
         one, other = sides.T % len(corners)
@@ -181,7 +188,7 @@ class _Edges(NamedTuple):
         convex = np.einsum("ei,ei->e", middle[other] - middle[one], normal[one]) < 0.0
         one, other, ends = normal[one[convex]], normal[other[convex]], edges.ends[edges.of_side[sides[convex, 0]]]
         cosine = np.einsum("ei,ei->e", one, other)[:, None]
-        tip, hull = collider.vertices[ends[:, 0]], collider.vertices[_hull(collider).vertices]
+        tip, hull = vertices[ends[:, 0]], vertices[_hull(vertices).vertices]
 
         def reach(direction: Floats) -> Floats:
             direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-300)
@@ -203,11 +210,11 @@ class _Edges(NamedTuple):
         return (float(depth[worst]), float(self.angle[worst])) if len(depth) else (0.0, math.pi)
 
 
-def _hull(collider: Collider) -> Any:
-    """Convex hull of a meshed collider, by a package that is slow to import."""
+def _hull(vertices: Floats) -> Any:
+    """Convex hull of the vertices (v, 3) of a collider, by a package that is slow to import."""
     from scipy.spatial import ConvexHull
 
-    return ConvexHull(collider.vertices, qhull_options="QJ")  # joggled: a thin one is no fault
+    return ConvexHull(vertices, qhull_options="QJ")  # joggled: a thin one is no fault
 
 
 def _at_edges(scene: Scene, ball: Floats, least: Floats, named: set[str]) -> Iterator[tuple[str, str]]:
@@ -243,13 +250,14 @@ def findings(scene: Scene) -> Iterator[tuple[str, str]]:
         yield what, cure
     ball = scene.radius[scene.triangles].min(axis=1)
     for k, collider, minds in _solids(scene):
-        if collider.kind != ROUND:
+        radius = collider.form.roundness(collider)
+        if radius == 0.0:
             continue
         worst = int(np.argmax(np.where(minds, around - ball, -np.inf)))
-        if collider.radius + ball[worst] <= around[worst]:  # it goes through
+        if radius + ball[worst] <= around[worst]:  # it goes through
             continue
-        deep = dip(collider.radius, float(ball[worst]), float(around[worst]))
-        spacing = float(side[worst] / around[worst]) * _flush(collider.radius, float(ball[worst]))
+        deep = dip(radius, float(ball[worst]), float(around[worst]))
+        spacing = float(side[worst] / around[worst]) * _flush(radius, float(ball[worst]))
         if deep > 0.0:
             yield (
                 f"its triangles reach up to {deep:.2g} m into {collider.in_words(k)}",

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.objects import ball_in_words
 from taichi_sim.scene.scene import Scene
 
@@ -88,7 +87,8 @@ def overlap_of_bodies(scene: Scene, least: float) -> str:
 
 def _overlaps(scene: Scene, which: NDArray[np.bool_] | None = None) -> dict[tuple[int, int], tuple[float, str]]:
     """The deepest overlap of balls at the start, as a part of the smaller radius, of every two objects whose contacts act, and
-    the balls in words; objects by their numbers, -1: balls of none. which: mask (n,) of balls; None: all, and within an object."""
+    the balls in words; objects by their numbers, -1: balls of none. which: mask (n,) of balls;
+    None: all, and within an object."""
     part_of = np.full(scene.n_balls, -1)
     for k, one in enumerate(scene.objects):
         part_of[one.balls] = k
@@ -107,8 +107,7 @@ def _overlapping(scene: Scene, balls: NDArray[np.int64]) -> Iterator[tuple[int, 
     from scipy.spatial import cKDTree  # slow to import
 
     x, r = scene.position, scene.radius
-    joins = np.concatenate([scene.pairs, unique_edges(scene.membranes)]).astype(np.int64)
-    joined = np.unique(joins.min(axis=1) * scene.n_balls + joins.max(axis=1))
+    joined = scene.excluded_pairs().astype(np.int64) @ [scene.n_balls, 1]
     # of each pair the larger finds the other
     near = cKDTree(x[balls]).query_ball_point(x[balls], 2.0 * r[balls], return_sorted=False)
     for i, found in zip(balls, near):

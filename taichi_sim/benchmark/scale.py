@@ -18,7 +18,7 @@ from taichi_sim.benchmark.contest import REPEATS, Report, count_of, elapsed
 from taichi_sim.common.errors import BackendError
 from taichi_sim.outputs import export, open_output
 from taichi_sim.reports.memory import breakdown
-from taichi_sim.scene.colliders import Sphere
+from taichi_sim.scene.collider_shapes import Sphere
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.simulation import Simulation
 

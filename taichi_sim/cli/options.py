@@ -127,7 +127,7 @@ def pixels(text: str | None) -> tuple[int, int] | None:
 def keys_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
     """Tables of what texts like `camera.azimuth=40` say, values as in TOML, or plain words. Raises SceneError."""
     from taichi_sim.common.errors import SceneError
-    from taichi_sim.files.toml_reader import MOST_NESTED
+    from taichi_sim.files.toml_document import MOST_NESTED
 
     found: dict[str, Any] = {}
     for text in texts:
@@ -167,7 +167,7 @@ def paths_and_values(option: str, texts: Sequence[str]) -> dict[str, Any]:
 def _value(option: str, text: str, value: str | None) -> Any:
     """A value in TOML, or the words themselves. Raises SceneError for one too deep (None is), and for several."""
     from taichi_sim.common.errors import SceneError
-    from taichi_sim.files.toml_reader import MOST_NESTED, nested, tomllib
+    from taichi_sim.files.toml_document import MOST_NESTED, nested, tomllib
 
     try:
         if value is not None:

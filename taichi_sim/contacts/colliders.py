@@ -8,13 +8,12 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.kernels.contacts import colliders as geometry
+from taichi_sim.kernels.contacts.colliders import CUSTOM, MESH
 from taichi_sim.kernels.contacts.collision_groups import meets
-from taichi_sim.scene.collider_forms import BOX, CUSTOM, FORMS
+from taichi_sim.scene.collider_forms import Drawn, Form, Meshed
 from taichi_sim.scene.motion import TICKS
 
 __all__ = ["Colliders"]
-
-KIND = {kind: getattr(geometry, kind.upper()) for kind in FORMS}
 
 
 def _lesser(a: NDArray, b: NDArray) -> NDArray:
@@ -27,20 +26,23 @@ class Colliders:
     """All colliders of a scene. Motions are worked out on the host in float64, for TICKS substeps at a time: `motion`, of which
     `tick` is the present one. grids: of `distance_grids`."""
 
-    has_mesh: bool  # likewise has_round, ...: by the kinds that the scene has
-
     def __init__(self, model: Model, fields: Fields, grids: list[DistanceGrid]) -> None:
         scene = model.scene
         self.dim, self.scene, self.count = model.dim, scene, len(scene.colliders)
         self.turn = 1 if model.dim == 2 else 3  # components of an angular velocity
-        kinds = {c.kind for c in scene.colliders}
-        vars(self).update({f"has_{kind}": kind in kinds for kind in KIND})
+        # number of each kind by a formula, and its Taichi function (shape, p), see kernels.contacts.colliders
+        names = sorted({c.form.measured_by for c in scene.colliders} - {""})
+        self.solids = [(number, getattr(geometry, name)) for number, name in enumerate(names)]
+        kinds: dict[type[Form], int] = {Meshed: MESH, Drawn: CUSTOM}
+        kinds |= {c.form: names.index(c.form.measured_by) for c in scene.colliders if c.form not in kinds}
+        self.kinds = np.array([kinds[c.form] for c in scene.colliders])
+        self.has_mesh, self.has_custom = (bool(np.any(self.kinds == kind)) for kind in (MESH, CUSTOM))
         # number of each that the user defines, and its Taichi function distance(p) [m], p in its own frame
-        self.custom = [(k, c.shape.distance) for k, c in enumerate(scene.colliders) if c.kind == CUSTOM]
+        self.custom = [(k, c.shape.distance) for k, c in enumerate(scene.colliders) if c.form is Drawn]
         eps = float(np.finfo(np.float64 if fields.real == ti.f64 else np.float32).eps)
         self.difference = eps ** (1 / 3)  # of its extent: between points whose distances give a direction
         self.has_hollow = any(c.hollow > 0 for c in scene.colliders)
-        self.has_faces = any(c.hollow > 0 and c.kind == BOX for c in scene.colliders)
+        self.has_faces = any(c.hollow > 0 and c.form.has_faces for c in scene.colliders)
         self.faces = 2 * model.dim if self.has_faces else 1
         moving = [k for k, c in enumerate(scene.colliders) if c.motion.moves]
         self.moving = moving
@@ -73,13 +75,16 @@ class Colliders:
         # half: of its size; radius: of what is round; hollow: thickness, 0 if solid; extent: radius of the sphere around it [m]
         columns = {"kind": ti.i32, "half": vector, "radius": real, "hollow": real, "surface": ti.i32, "extent": real}
         data: dict[str, NDArray] = {
-            "kind": np.array([KIND[c.kind] for c in colliders]),
+            "kind": self.kinds,
             "half": np.array([c.half for c in colliders]),
             "radius": np.array([c.radius for c in colliders]),
             "hollow": np.array([c.hollow for c in colliders]),
             "surface": np.array([c.material for c in colliders]),
             "extent": np.array([c.extent for c in colliders]),
         }
+        if self.has_faces:  # that a ball in it meets each by itself
+            data["faces"] = np.array([self.faces if c.hollow > 0 and c.form.has_faces else 1 for c in colliders])
+            columns["faces"] = ti.i32
         self.has_groups = model.has_groups
         if self.has_groups:
             data |= {"group": np.array([c.group for c in colliders]), "mask": np.array([c.mask for c in colliders])}

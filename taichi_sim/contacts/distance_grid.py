@@ -16,7 +16,7 @@ from taichi_sim.geometry.mesh import Surface
 from taichi_sim.kernels.contacts import distance_grid as loops
 from taichi_sim.kernels.contacts.colliders import CUT
 from taichi_sim.kernels.contacts.triangle_tree import CORNERS, INSIDE, OUTWARD
-from taichi_sim.scene.collider_forms import MESH
+from taichi_sim.scene.collider_forms import Meshed
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.scene import Scene
 
@@ -218,13 +218,13 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
     integers = np.zeros(0, np.int32)
     cells = np.zeros((0, 2), np.int64), integers, np.zeros(0)
     none = DistanceGrid(np.zeros((0, 0, 0)), integers, *cells, np.zeros(3), 1.0, NO_TREE)
-    if all(collider.kind != MESH for collider in scene.colliders):
+    if all(collider.form is not Meshed for collider in scene.colliders):
         return [none] * len(scene.colliders)
     reach = 2.0 * float(np.max(scene.radius, initial=0.0))
     finest = 2.0 * float(np.min(scene.radius, initial=np.inf))
     need, free = 0, available()
     for k, collider in enumerate(scene.colliders):
-        if collider.kind == MESH:
+        if collider.form is Meshed:
             need += memory_of(int(layout(collider, reach)[1].prod()))
             if need > free:
                 says = (
@@ -233,4 +233,4 @@ def distance_grids(scene: Scene) -> list[DistanceGrid]:
                 )
                 with scene.in_file():
                     raise SceneError(f"colliders[{k}].resolution", collider.resolution, says=says)
-    return [distance_grid(c, reach, finest) if c.kind == MESH else none for c in scene.colliders]
+    return [distance_grid(c, reach, finest) if c.form is Meshed else none for c in scene.colliders]

@@ -105,6 +105,11 @@ class Fields:
         return ti.f64 if self.has_wide_numbers else self.real
 
     @property
+    def widens(self) -> bool:
+        """True if sums have more digits than the numbers of the run."""
+        return bool(self.wide != self.real)
+
+    @property
     def _size(self) -> int:
         return 8 if self.real == ti.f64 else 4
 

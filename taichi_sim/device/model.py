@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.graph import incidence
-from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.scene import Scene, used_materials
 
 __all__ = ["SPIN_INERTIA_RATIOS", "Model", "phase_type"]
@@ -90,11 +89,7 @@ class Model:
 
     def joined(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Balls that a spring, a membrane, a solid or a brick joins each ball to, as (start (n + 1), other (2 m)), sorted."""
-        scene, pairs = self.scene, [self.scene.pairs, unique_edges(self.scene.membranes)]
-        for corners in (scene.solids, scene.bricks):
-            ends = corners[:, np.stack(np.triu_indices(corners.shape[1], 1), axis=1)]
-            pairs.append(np.unique(np.sort(ends.reshape(-1, 2), axis=1), axis=0))
-        return incidence(np.unique(np.concatenate(pairs), axis=0), self.n)[:2]
+        return incidence(self.scene.excluded_pairs(), self.n)[:2]
 
 
 def phase_type(dim: int, real: object) -> dict[str, object]:

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from taichi_sim.files.toml_schema import ALIASES, COLLIDER, COLLIDERS, Document
+from taichi_sim.files.toml_schema import ALIASES, COLLIDERS, Document
+from taichi_sim.files.toml_types import COLLIDER
 
 __all__ = ["scene_schema"]
 

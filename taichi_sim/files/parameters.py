@@ -27,7 +27,8 @@ PATH = re.compile(r"[^.\[\]]+(\.[^.\[\]]+|\[[0-9]{1,18}\])*")
 
 def changed_scene(file: Path, parameters: Mapping[str, Any], allow_outside: bool = False) -> Scene:
     """The scene of a TOML file with other values. Raises SceneError, which names the path, for what the file does not have."""
-    from taichi_sim.files.toml_reader import Reader, parsed
+    from taichi_sim.files.toml_document import parsed
+    from taichi_sim.files.toml_reader import Reader
 
     text, document = parsed(file)
     with changing(file, document, parameters):

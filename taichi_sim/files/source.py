@@ -121,7 +121,8 @@ def checked_output(scene: Scene) -> dict[str, Any]:
         raise SceneError("scene.output", says="has lists or tables within each other, too deep") from None
     from pydantic import ValidationError
 
-    from taichi_sim.files.toml_schema import Output, what_is_allowed
+    from taichi_sim.files.toml_schema import what_is_allowed
+    from taichi_sim.files.toml_settings import Output
 
     listed: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in output.items()}
     try:

@@ -1,16 +1,12 @@
 """Scene files: TOML to Scene. The way back is `Scene.save`.
 
-Tables are read in a fixed order, whatever their order in the file: materials, balls, the shapes (cloth, jelly, rope,
-wheel, pile, truss, net, balloon, tower, text, svg), springs, attachments, cells, bending, gases, moving pins, wind, walls,
-colliders, triangles, objects, embedded_surfaces, probes. Springs that name no group therefore count all balls in this order.
+Tables are read in the order of scene.parts.PARTS, whatever their order in the file, and shapes after the balls, in that of
+shapes.BUILT_IN. Springs that name no group therefore count all balls in this order.
 """
 
 import inspect
 import os
-import re
-import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,9 +17,9 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.probe_readings import units_of
 from taichi_sim.common import validation
 from taichi_sim.common.atomic_file import not_there, require_file
-from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name, unknown_key
+from taichi_sim.common.errors import KeyPath, SceneError, did_you_mean, key_name
 from taichi_sim.common.npz import read_npz
-from taichi_sim.files.toml_lines import deepest_line, line_of
+from taichi_sim.files.toml_document import Parsed, located, parsed
 from taichi_sim.geometry.outlines import FONT_FILES
 from taichi_sim.scene.camera_path import CameraPath, require_depth
 from taichi_sim.scene.looks import Look, Subjects
@@ -35,21 +31,10 @@ from taichi_sim.scene.pins import ends, is_described
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.base import Shape
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
-__all__ = ["MOST_NESTED", "Reader", "load_scene", "nested", "parsed"]
-
-
-MOST_NESTED = 16  # lists and tables within each other
-LONG_KEY = re.compile(
-    r"""(?<![\w"'.-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){1000}"""
-)  # which takes seconds to parse
+__all__ = ["Reader", "load_scene"]
 
 
 def load_scene(
@@ -78,48 +63,8 @@ def load_scene(
     return Reader(file, *parsed(file), tables, allow_outside).scene()
 
 
-def parsed(file: Path) -> tuple[str, dict[str, Any]]:
-    """The text of a file and what it says in TOML. Raises SceneError."""
-    try:
-        text = file.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
-        if LONG_KEY.search(text):
-            raise RecursionError
-        document = tomllib.loads(text)
-    except UnicodeDecodeError as error:
-        raise SceneError((), says=f"is not a text in UTF-8: {error.reason} at byte {error.start}", file=file) from None
-    except RecursionError:
-        raise _too_deep(file, text, ()) from None
-    except ValueError as error:  # TOMLDecodeError, or one of a number or a date that Python does not make
-        raise SceneError((), says=f"is not valid TOML: {error}", file=file) from None
-    path = nested(document)
-    if path is not None:
-        raise _too_deep(file, text, path)
-    return text, document
-
-
-def nested(document: Any) -> KeyPath | None:
-    """Path, cut to MOST_NESTED keys, of lists and tables that lie within each other more than MOST_NESTED deep; None where
-    there are none."""
-    deep: list[tuple[KeyPath, Any]] = [((), document)]
-    while deep:
-        path, value = deep.pop()
-        if isinstance(value, (dict, list)):
-            if len(path) > MOST_NESTED:
-                return path[:MOST_NESTED]
-            items = value.items() if isinstance(value, dict) else enumerate(value)
-            deep += [((*path, key), item) for key, item in items if isinstance(item, (dict, list))]
-    return None
-
-
-def _too_deep(file: Path, text: str, path: KeyPath) -> SceneError:
-    says = f"has lists or tables within each other, more than {MOST_NESTED} deep"
-    error = located(file, text, SceneError(path[:2], says=says))
-    error.line = error.line or deepest_line(text)
-    return error
-
-
-class Reader:
-    """Builds a Scene from one parsed document; every error leaves it with the file, the line and the key's path."""
+class Reader(Parsed):
+    """Builds a Scene from one parsed document."""
 
     def __init__(
         self,
@@ -131,8 +76,8 @@ class Reader:
     ) -> None:
         from taichi_sim.files.toml_schema import Document
 
-        self.file, self.text, self.document, self.tables = file, text, document, tables or {}
-        self.spelled: dict[KeyPath, str] = {}  # how the file spells keys for which there are two spellings
+        self.tables = tables or {}
+        super().__init__(file, text, document, self.tables)
         self.allow_outside = allow_outside
         known = {"format", "dim", "gravity", "simulation", "output", *Document.model_fields}
         for name, function in self.tables.items():
@@ -343,78 +288,6 @@ class Reader:
             raise SceneError(("table", key), name, says=f"cannot be read: {error}") from None
         return file
 
-    # Errors --------------------------------------------------------------------------------------------------------
-
-    @contextmanager
-    def _at(self, *place: str | int) -> Iterator[None]:
-        """Give an error from within the block its file, line and path: that of the key in the table at `place`."""
-        try:
-            yield
-        except SceneError as error:
-            raise self._located(error, _fitting(self.document, place + _within_table(error.path, place))) from None
-
-    def _located(self, error: SceneError, path: KeyPath) -> SceneError:
-        known = next((depth for depth in range(len(path), 0, -1) if path[:depth] in self.spelled), 0)
-        error.path = (*path[: known - 1], self.spelled[path[:known]], *path[known:]) if known else path
-        return located(self.file, self.text, error)
-
-    def _spell(self) -> None:
-        """Give keys that have two spellings the one that the models know. Raises SceneError where both are given."""
-        from taichi_sim.files.toml_schema import ALIASES, Document
-
-        for name, tables in self.document.items():
-            if name not in Document.model_fields:
-                continue
-            places: list[tuple[KeyPath, Any]] = [((name,), tables)]
-            if isinstance(tables, list):
-                places = [((name, index), table) for index, table in enumerate(tables)]
-            for place, table in places:
-                for other in ALIASES.keys() & set(table) if isinstance(table, dict) else ():
-                    if ALIASES[other] in table:
-                        error = SceneError((), says=f"is another spelling of {ALIASES[other]!r}, which is given, too")
-                        raise self._located(error, (*place, other))
-                    key = (*place, ALIASES[other])
-                    table[key[-1]] = table.pop(other)
-                    self.spelled[key] = other
-
-    def _validated(self) -> "BaseModel":
-        from pydantic import ValidationError
-
-        from taichi_sim.files.toml_schema import Document, keys_at, what_is_allowed
-
-        try:
-            return Document.model_validate(
-                _frozen({name: table for name, table in self.document.items() if name not in self.tables})
-            )
-        except ValidationError as error:
-            problems: list[Any] = error.errors(include_url=False)
-        unknown = next((p["loc"] for p in problems if p["type"] == "extra_forbidden"), None)
-        if unknown is not None:
-            raise self._located(unknown_key(unknown, keys_at(unknown)), unknown)
-        first = problems[0]
-        path, value = _known(self.document, first["loc"])
-        if first["type"] == "missing":
-            missing = (*path, *first["loc"][len(path) : len(path) + 1])
-            wanted = (
-                "the first line of a scene file is `format = 1`" if missing == ("format",) else "this table needs it"
-            )
-            raise self._located(SceneError(missing, says=f"is missing; {wanted}"), missing)
-        if len(path) == 1 and isinstance(value, dict):
-            says = f"is written as one table; there may be several of them: write [[{path[0]}]]"
-            raise self._located(SceneError(path, says=says), path)
-        allowed = []
-        for problem in problems:
-            if _known(self.document, problem["loc"])[0] == path:  # one for each type that the key may have
-                of_items = any(isinstance(part, int) for part in problem["loc"][len(path) :])
-                allowed.append(("a list, each " if of_items else "") + what_is_allowed(problem))
-        raise self._located(SceneError(path, value, " or ".join(dict.fromkeys(allowed))), path)
-
-
-def located(file: Path, text: str, error: SceneError) -> SceneError:
-    """The error, with the file and the line of its path there."""
-    error.file, error.line = file, line_of(text, error.path)
-    return error
-
 
 # Data --------------------------------------------------------------------------------------------------------------
 
@@ -444,39 +317,3 @@ def _within(balls: NDArray[np.int32], where: str, value: Any) -> NDArray[np.int3
     """Numbers within `balls`, (k,) or (k, width), as the scene's."""
     shape = np.shape(value)
     return balls[validation.indices(where, value, len(balls), width=shape[1] if len(shape) == 2 else None)]
-
-
-def _frozen(value: Any) -> Any:
-    """Lists as tuples, all the way down: what the strict models take for a sequence of any kind."""
-    if isinstance(value, dict):
-        return {key: _frozen(item) for key, item in value.items()}
-    return tuple(_frozen(item) for item in value) if isinstance(value, list) else value
-
-
-def _known(document: Any, path: Sequence[str | int]) -> tuple[KeyPath, Any]:
-    """The leading part of a path that exists in the document, and what is there: pydantic's own path goes on into the members
-    of a union."""
-    for depth, part in enumerate(path):
-        fits = isinstance(document, dict) and part in document
-        fits = fits or (isinstance(document, list) and isinstance(part, int) and part < len(document))
-        if not fits:
-            return tuple(path[:depth]), document
-        document = document[part]
-    return tuple(path), document
-
-
-def _within_table(path: KeyPath, place: KeyPath) -> KeyPath:
-    """Path of an error without the name that a function gives to what it checks, and without its number there: `size` of
-    `colliders[2].size`, (2,) of no table."""
-    if not place or (len(path) == 1 and path[0] != place[0]):
-        return path
-    return path[2:] if len(path) > 1 and isinstance(path[1], int) else path[1:]
-
-
-def _fitting(document: Any, path: KeyPath) -> KeyPath:
-    """The path without an index 0 that the document does not have: one vector was checked as a list of one."""
-    for depth, part in enumerate(path):
-        shorter = path[:depth] + path[depth + 1 :]
-        if part == 0 and _known(document, path)[0] != path and _known(document, shorter)[0] == shorter:
-            return shorter
-    return path

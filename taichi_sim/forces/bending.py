@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.kernels.loops import list_entry
 
 __all__ = ["Bending"]

@@ -193,7 +193,7 @@ class Bricks(NeoHookean):
     def allocate_derivatives(self, fields: Fields) -> None:
         """Declare the axes of bricks, blocks of their corners, and forces in the precision of places."""
         self.allocate_axes(self.count, fields)
-        if fields.wide != fields.real:
+        if fields.widens:
             self.force = fields.vectors(self.count * self.k, self.dim, wide=True)
         self.block = fields.matrices(self.count * self.k, self.dim)  # kg
 

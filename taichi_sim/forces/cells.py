@@ -5,7 +5,7 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.scene.cells import CRUSHED
 
 __all__ = ["Cells"]
@@ -141,7 +141,7 @@ class Cells(Corners):
         pressure in the precision of places."""
         if self.shared:
             self.slope, self.change = fields.reals(self.groups), fields.reals(self.groups)
-            if fields.wide != fields.real:
+            if fields.widens:
                 self.pressure = fields.doubles(self.groups)
 
     @ti.func

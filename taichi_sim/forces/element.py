@@ -28,7 +28,7 @@ from taichi_sim.device.engine import CompilationError, shape_of, ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
-from taichi_sim.forces.incidence import CORNER_NAMES, Corners
+from taichi_sim.forces.corners import CORNER_NAMES, Corners
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["Element"]

@@ -5,7 +5,7 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.kernels.springs import padded_blocks
 from taichi_sim.kernels.springs.padded_blocks import dot
 from taichi_sim.scene.membranes import shape_gradients
@@ -170,7 +170,7 @@ class Membranes(Corners):
         """Declare what corners gather on one thread, too, and forces in the precision of places."""
         if self.scatters:
             self.given = self.force = fields.vectors(3 * self.count, 3)
-        if fields.wide != fields.real:
+        if fields.widens:
             self.force = fields.vectors(3 * self.count, 3, wide=True)
 
     @ti.func

@@ -4,7 +4,7 @@ from typing import Any
 
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
-from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.corners import Corners
 
 __all__ = ["NeoHookean"]
 

@@ -185,7 +185,7 @@ class Solids(NeoHookean):
     def allocate_derivatives(self, fields: Fields) -> None:
         """Declare the axes of the balls with elements, and their stresses in the precision of places."""
         self.allocate_axes(self.count, fields)
-        if fields.wide != fields.real:
+        if fields.widens:
             self.stress = fields.matrices(self.count, self.dim, wide=True)
 
     @ti.func

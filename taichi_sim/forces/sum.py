@@ -25,7 +25,8 @@ It may have, too,
 h c / m < 1.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 from taichi_sim.analysis.element_rates import declared_rates
@@ -35,31 +36,14 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.device.state import State
-from taichi_sim.forces.bending import Bending
-from taichi_sim.forces.bricks import Bricks
-from taichi_sim.forces.cells import Cells
+from taichi_sim.forces.corners import Corners
 from taichi_sim.forces.element import Element
-from taichi_sim.forces.gas import Gases
-from taichi_sim.forces.incidence import Corners
-from taichi_sim.forces.membranes import Membranes
 from taichi_sim.forces.motors import motors_of
-from taichi_sim.forces.solids import Solids
 from taichi_sim.forces.springs import Springs
-from taichi_sim.forces.wind import Wind
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
 __all__ = ["TotalForce", "checked_forces"]
-
-KERNELS: Mapping[str, Any] = {
-    "membranes": Membranes,
-    "cells": Cells,
-    "bricks": Bricks,
-    "solids": Solids,
-    "bending": Bending,
-    "gases": Gases,
-    "wind": Wind,
-}  # by the names of elements
 
 
 @ti.data_oriented
@@ -69,7 +53,7 @@ class TotalForce:
     def __init__(self, model: Model, fields: Fields, springs: Springs | None, extra: Sequence[Any]) -> None:
         self.model, self.n = model, model.n
         self.declared = declared_rates(model.scene, extra)
-        elements = [KERNELS[one.name](model, fields) for one in ELEMENTS if one.acts(model.scene)]
+        elements = [_kernels(one.name)(model, fields) for one in ELEMENTS if one.acts(model.scene)]
         self.springs, self.extra = springs, [*elements, *extra]
         self.external_forces = self.extra  # those that `external` sums
         self.elements = [force for force in self.extra if isinstance(force, Corners)]
@@ -171,6 +155,11 @@ class TotalForce:
         if ti.static(self.has_springs):
             self.springs.total(ball, self.impulse, h)
         self._extra(ball, h, time)
+
+
+def _kernels(name: str) -> Any:
+    """Class that computes the elements of a name: `Cells` in forces/cells.py those that are called cells."""
+    return getattr(import_module(f"taichi_sim.forces.{name}"), name.title().replace("_", ""))
 
 
 def checked_forces(scene: Scene, forces: Sequence[Any]) -> Sequence[Any]:

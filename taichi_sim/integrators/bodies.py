@@ -27,7 +27,7 @@ def _gas_surfaces(scene: Scene) -> NDArray[np.int64]:
 def bodies_of(scene: Scene, ties: NDArray) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
     """Body (n,) of each ball, in the order of their lowest balls; which bodies (b,) nothing holds; which are joined.
 
-    ties: (k, 2) balls that elements join, see forces.incidence.Corners.
+    ties: (k, 2) balls that elements join, see forces.corners.Corners.
     Pinned balls join nothing. Each is listed with a body that it holds. Balls that nothing joins are one body together: the
     solution for each of them is exact.
     """
@@ -139,7 +139,8 @@ class Bodies:
 
     @ti.func
     def join(self, columns: ti.template()):
-        """Sum each column by groups, where there are any; before `total`."""
+        """Add up the rows of parts in groups of neighbours, on a device, where a body may have many parts: `total` then reads one
+        row for each group. columns: fields of `columns`, whose rows of all parts are filled."""
         if ti.static(self.groups > 0):
             for g in range(self.groups):
                 for column in ti.static(columns):

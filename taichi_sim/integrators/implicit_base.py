@@ -10,7 +10,7 @@ from taichi_sim.common.errors import SceneError
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import NUMPY_TYPES, Fields
 from taichi_sim.device.parts import PRIME, STEP, Part
-from taichi_sim.forces.gas import Gases
+from taichi_sim.forces.gases import Gases
 from taichi_sim.integrators.base import Integrator, SolverStatistics
 from taichi_sim.integrators.host_launch import Launched
 from taichi_sim.integrators.newton_cg import StageSolver
@@ -30,7 +30,7 @@ class Implicit(Integrator):
     A method gives `begin(stage, h, time)`, which sets solver.base and solver.q, `end(stage, h)`, and `finishing`, parts that
     move. `part`: the length of a stage in steps. `takes_springs`, `takes_gas`: springs, and gas, are solved for. `opening`: how
     many of the `stages` run only in a step after `prime`. `ends`: when each stage ends, in steps since the step before.
-    `past_parts`: s w, see forces.incidence.Corners, over the way to where each stage begins. `carries`: weight of what the
+    `past_parts`: s w, see forces.corners.Corners, over the way to where each stage begins. `carries`: weight of what the
     stage before gave in the places where a stage ends; that of its own is 1. tolerance: of each solution, see StageSolver.
     """
 

@@ -1,4 +1,4 @@
-"""Elements in an implicit stage: those that give their derivatives, see forces.incidence.Corners."""
+"""Elements in an implicit stage: those that give their derivatives, see forces.corners.Corners."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -96,7 +96,7 @@ class StageElements:
 
     @ti.func
     def note_past(self, i, w):
-        """Note the velocity w of the way that led ball i to where the stage begins [m/s], see forces.incidence.Corners."""
+        """Note the velocity w of the way that led ball i to where the stage begins [m/s], see forces.corners.Corners."""
         for table in ti.static(self.tables):
             table[i].w = w
 

@@ -41,7 +41,7 @@ class Residual:
 
     def __init__(self, solver: Any, fields: Fields) -> None:
         self.solver, self.dim, self.type = solver, solver.product.dim, fields.wide
-        self.rounds = fields.wide != fields.real
+        self.rounds = fields.widens
         self.sum = fields.vectors(solver.n, self.dim, wide=True) if self.rounds else solver.product.sum
 
     @ti.func

@@ -6,7 +6,7 @@ from taichi_sim.analysis import methods
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.parts import STEP, Part
-from taichi_sim.forces.gas import Gases
+from taichi_sim.forces.gases import Gases
 from taichi_sim.integrators.implicit_base import Implicit
 from taichi_sim.integrators.implicit_gas import GasConstraints
 from taichi_sim.kernels.springs import edge_blocks, law, padded_blocks, simd_batches

@@ -14,7 +14,6 @@ from taichi_sim.geometry.mesh import holes
 from taichi_sim.render.bodies import COLLIDER_GREY, Bodies
 from taichi_sim.render.palette import body_colours
 from taichi_sim.render.styles import places_within
-from taichi_sim.scene.collider_forms import ROUND
 from taichi_sim.scene.colliders import Collider
 from taichi_sim.scene.objects import mapped, named
 
@@ -293,9 +292,8 @@ def _bodies(first: Frame, taken: Collection[str]) -> list[Body]:
 
 def _normals(one: Collider, vertices: Floats, triangles: NDArray) -> Floats:
     """Normals of a collider at its vertices; smooth ones of what is round."""
-    if one.kind != ROUND or len(one.half) == 2:
-        return normals_of(vertices, triangles)
-    return (vertices - np.clip(vertices, -one.half, one.half)) / one.radius
+    own = one.form.normals(one, vertices) if len(one.half) == 3 else None
+    return normals_of(vertices, triangles) if own is None else own
 
 
 @dataclass(frozen=True, slots=True, eq=False)

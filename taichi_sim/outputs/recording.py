@@ -71,6 +71,7 @@ class Recording(Sequence[Moment]):
         self.fps = float(columns.pop("fps")[0])
 
     def _check(self, columns: dict[str, NDArray]) -> None:
+        """Raise ValueError where these cannot be of a run of its scene, or their times fall."""
         scene, count = self.scene, len(columns["time"])
         moved = (count, scene.n_balls, scene.dim)
         shapes = {

@@ -7,13 +7,11 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.frame import Frame
 from taichi_sim.render.smoothing import CREASE, Smoothing
-from taichi_sim.scene.collider_forms import BOX, ROUND
 from taichi_sim.scene.colliders import Collider
 
-__all__ = ["PAINTED", "Bodies", "filled"]
+__all__ = ["Bodies", "filled"]
 
 COLLIDER_GREY = (0.64, 0.66, 0.70)  # sRGB
-PAINTED = (ROUND, BOX)  # kinds that pictures in 2D show by distances; others by triangles
 FACES_AROUND = 96  # faces of a round shape about its axis; a quarter of it along each of its caps
 
 
@@ -63,8 +61,8 @@ class Bodies(NamedTuple):
 
 
 def filled(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Corners (t, 3, 2) [m] of the triangles that fill colliders of a 2D frame, but no PAINTED ones, and the collider of each."""
-    custom = [(k, placed) for k, placed in enumerate(frame.colliders) if placed.collider.kind not in PAINTED]
+    """Corners (t, 3, 2) [m] of the triangles that fill colliders of a 2D frame other than rounded boxes, and whose they are."""
+    custom = [(k, placed) for k, placed in enumerate(frame.colliders) if not placed.collider.form.is_rounded_box]
     corners = []
     for _, placed in custom:
         vertices, triangles = placed.collider.filled(FACES_AROUND)

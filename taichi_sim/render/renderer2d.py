@@ -12,7 +12,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.kernels.render import paint2d
-from taichi_sim.render.bodies import PAINTED, filled
+from taichi_sim.render.bodies import filled
 from taichi_sim.render.camera import Bounds, Flat, near_boxes, robust_bounds
 from taichi_sim.render.canvas import finished
 from taichi_sim.render.colouring import FULL_STRAIN, Colouring
@@ -239,7 +239,7 @@ class Renderer2D:
             x, y = (placed.centre - self.camera.low) * self.camera.scale
             row[:4] = x, self.size[1] - y, along[0], -along[1]
             row[4:] = np.array([*shape.half, shape.radius, shape.hollow]) * self.camera.scale
-            if shape.kind not in PAINTED:  # triangles show it
+            if not shape.form.is_rounded_box:  # triangles show it
                 row[6] = NO_BODY
         return rows
 

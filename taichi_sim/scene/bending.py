@@ -86,6 +86,7 @@ class BendingMethods:
 class _Bending(Columns, Element):
     name, method, counted, title = "bending", "add_bending", ("corners",), "bends"
     is_implicit = is_linear = True
+    work = 4
     features: ClassVar = {"damping of bends": lambda scene: np.any(scene.bend_damping > 0)}
 
     def energies(self, scene: Any, x: NDArray[np.float64], whole: NDArray[np.bool_]) -> list[float]:

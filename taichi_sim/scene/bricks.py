@@ -97,7 +97,8 @@ def _present_size(x: Floats) -> Floats:
 
 class _Bricks(Columns, Element):
     name, method, counted = "bricks", "add_bricks", ("corners",)
-    is_implicit = True
+    is_implicit = excludes_contact = has_volume = True
+    work = 16
     assumed: ClassVar = {"viscosity": 0.0}
     features: ClassVar = {"viscosity of bricks": lambda scene: np.any(scene.brick_viscosity > 0)}
 

@@ -81,7 +81,8 @@ class CellMethods:
 class _Cells(Columns, Element):
     name, method, counted = "cells", "add_cells", ("corners",)
     assumed: ClassVar = {"together": -1}
-    is_implicit = True
+    is_implicit = has_volume = True
+    work = 4
     features: ClassVar = {"cells that act": lambda scene: scene.cells_act()}
 
     def acts(self, scene: Any) -> bool:

@@ -1,5 +1,5 @@
 """Elements: what exerts forces on balls besides gravity, springs and contacts. A further kind is a file like `bending.py`, a line
-in each list here, and its kernels in the room `forces`."""
+in each list here, and its kernels in a file of the room `forces` that has its name."""
 
 from __future__ import annotations
 
@@ -31,7 +31,16 @@ class Elements(MembraneMethods, CellMethods, BrickMethods, SolidMethods, Bending
 
     def n_volumes(self: Any) -> int:
         """Number of cells, bricks and solids, which can be turned inside out."""
-        return len(self.cells) + len(self.bricks) + len(self.solids)
+        return sum(element.count(self) for element in ELEMENTS if element.has_volume)
+
+    def excluded_pairs(self: Any) -> NDArray[np.int32]:
+        """Balls (p, 2) that do not collide, as a spring, a membrane, a solid or a brick joins them: each pair once, the lower
+        ball first, sorted."""
+        pairs = [np.sort(self.pairs, axis=1)]
+        for corners in (element.corners(self) for element in ELEMENTS if element.excludes_contact):
+            ends = corners[:, np.stack(np.triu_indices(corners.shape[1], 1), axis=1)]
+            pairs.append(np.sort(ends.reshape(-1, 2), axis=1))
+        return np.unique(np.concatenate(pairs), axis=0)
 
     def joined(self: Any) -> NDArray[np.bool_]:
         """Mask (n,) of the balls that belong to a spring or to an element."""

@@ -102,7 +102,8 @@ def flattened(x: Floats, direction: Floats | None = None) -> Floats:
 class _Membranes(Columns, Element):
     name, method, counted = "membranes", "add_membranes", ("corners",)
     assumed: ClassVar = {"damping": 0.0}
-    is_implicit = True
+    is_implicit = excludes_contact = True
+    work = 2
     features: ClassVar = {"damping of membranes": lambda scene: np.any(scene.membrane_damping > 0)}
 
     def gradients(self, scene: Any, x: Floats) -> Floats:

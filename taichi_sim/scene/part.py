@@ -102,10 +102,13 @@ class Element(Part):
     # whether a scene has what kernels are compiled for, in words
     features: ClassVar[Mapping[str, Callable[[Any], Any]]] = {}
 
-    # whether implicit methods solve for it: its kernels give the derivatives, see forces.incidence.Corners
+    # whether implicit methods solve for it: its kernels give the derivatives, see forces.corners.Corners
     is_implicit: bool = False
     is_linear: bool = False  # forces are linear in places and velocities: its stiffness and damping hold in any shape
     gives_energy: bool = False  # or takes it: the energy of a scene with one does not stay
+    excludes_contact: bool = False  # two balls of one element never collide
+    has_volume: bool = False  # it can be turned inside out
+    work: int = 0  # of one for a substep, in springs
 
     def acts(self, scene: Any) -> bool:
         """True if the scene has one that exerts a force."""

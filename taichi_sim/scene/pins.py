@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError, about
 from taichi_sim.geometry.mesh import sides
-from taichi_sim.scene.colliders import Box, Capsule, Sphere, build, shape_of
+from taichi_sim.scene.collider_shapes import Box, Capsule, Sphere
+from taichi_sim.scene.colliders import build, shape_of
 
 __all__ = ["Members", "Pins", "chosen", "ends", "is_described"]
 

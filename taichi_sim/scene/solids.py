@@ -110,7 +110,8 @@ def _mean(places: NDArray, volume: Floats, of: Floats, count: int) -> Floats:
 
 class _Solids(Columns, Element):
     name, method, counted = "solids", "add_solids", ("corners",)
-    is_implicit = True
+    is_implicit = excludes_contact = has_volume = True
+    work = 8
     assumed: ClassVar = {"viscosity": 0.0}
     features: ClassVar = {"viscosity of solids": lambda scene: np.any(scene.solid_viscosity > 0)}
 

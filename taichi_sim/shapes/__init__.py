@@ -46,4 +46,21 @@ from taichi_sim.shapes.piles import pile, tower
 from taichi_sim.shapes.ropes import rope, wheel
 from taichi_sim.shapes.trusses import net, truss
 
-__all__ = ["Shape", "balloon", "cloth", "jelly", "net", "pile", "rope", "svg", "text", "tower", "truss", "wheel"]
+__all__ = [
+    "BUILT_IN",
+    "Shape",
+    "balloon",
+    "cloth",
+    "jelly",
+    "net",
+    "pile",
+    "rope",
+    "svg",
+    "text",
+    "tower",
+    "truss",
+    "wheel",
+]
+
+# in the order in which a scene file's are added
+BUILT_IN = (cloth, jelly, rope, wheel, pile, truss, net, balloon, tower, text, svg)

@@ -15,7 +15,7 @@ from taichi_sim.common.errors import SceneError, about
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.common.warn import warn
 from taichi_sim.geometry import outlines, polygon_mesh
-from taichi_sim.scene.colliders import Mesh
+from taichi_sim.scene.mesh_colliders import Mesh
 from taichi_sim.scene.pins import chosen
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import jelly_material

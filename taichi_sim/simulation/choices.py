@@ -13,6 +13,7 @@ from taichi_sim.device.backend import Backend
 from taichi_sim.device.engine import another
 from taichi_sim.forces.element import Element
 from taichi_sim.forces.spring_colours import MOST_COLOURS
+from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.simulation.settings import Settings
 
@@ -62,9 +63,7 @@ def order_of_springs(scene: Scene, integrator: Any, fixed: str, *, cpu: bool, at
 
 def _size(scene: Scene) -> int:
     """Work of a substep: balls and springs, and elements by what they take of these."""
-    elements = 4 * (len(scene.cells) + len(scene.bends)) + 2 * len(scene.membranes) + 16 * len(scene.bricks)
-    elements += 8 * len(scene.solids)
-    return scene.n_balls + scene.n_springs + elements
+    return scene.n_balls + scene.n_springs + sum(one.work * one.count(scene) for one in ELEMENTS if one.work)
 
 
 def is_small(scene: Scene) -> bool:

@@ -18,7 +18,8 @@ import numpy as np
 from taichi_sim.common.errors import SceneError, did_you_mean
 from taichi_sim.files.parameters import changing
 from taichi_sim.files.source import python_scene, resolve
-from taichi_sim.files.toml_reader import Reader, parsed
+from taichi_sim.files.toml_document import parsed
+from taichi_sim.files.toml_reader import Reader
 from taichi_sim.scene.contents import contents_of
 from taichi_sim.scene.scene import Scene
 

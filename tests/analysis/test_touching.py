@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
-from taichi_sim.analysis.touching import overlap, overlap_of_bodies
+from taichi_sim.analysis.touching import further_overlap, overlap, overlap_of_bodies
 
 pytestmark = pytest.mark.once
 
@@ -47,3 +47,19 @@ def test_bodies_in_one_place_are_told_of_before_a_run(apart, pinned, told):
     for k in range(2):
         ts.shapes.jelly(scene, position=(k * apart, 0.01), **block)
     assert ("of jelly_1) overlap by" in overlap_of_bodies(scene, 0.5)) == told
+
+
+@pytest.mark.parametrize("kind", ["springs", "solids", "bricks", ""])
+def test_balls_of_one_element_that_never_collide_overlap_nothing(kind):
+    def scene(radius):
+        one = ts.Scene(dim=2)
+        one.add_balls([[0.0, 0.0], [0.3, 0.0], [0.0, 0.3], [0.3, 0.3]], radius=radius)
+        if kind == "springs":
+            one.add_springs([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]], stiffness=1.0)
+        elif kind == "solids":
+            one.add_solids([[0, 1, 2], [1, 3, 2], [0, 1, 3]], young_modulus=1.0, poisson_ratio=0.3)
+        elif kind == "bricks":
+            one.add_bricks([[0, 2, 1, 3]], young_modulus=1.0, poisson_ratio=0.3)
+        return one
+
+    assert bool(further_overlap(scene(0.1), scene(0.26))) == (not kind)

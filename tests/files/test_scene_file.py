@@ -380,7 +380,7 @@ def test_bad_meshes(tmp_path):
 def test_words_are_those_of_the_simulation():
     from taichi_sim.contacts import CONTACT_RULES
     from taichi_sim.device import backend
-    from taichi_sim.files.toml_schema import Simulation
+    from taichi_sim.files.toml_settings import Simulation
     from taichi_sim.integrators import BUILT_IN
     from taichi_sim.simulation.settings import DEFAULTS, WORDS
 

@@ -20,8 +20,9 @@ from taichi_sim.cli.main import main
 from taichi_sim.contacts import CONTACT_RULES
 from taichi_sim.files.json_schema import scene_schema
 from taichi_sim.files.source import checked_output, demos, open_scene
-from taichi_sim.files.toml_reader import tomllib
-from taichi_sim.files.toml_schema import ALIASES, Simulation
+from taichi_sim.files.toml_document import tomllib
+from taichi_sim.files.toml_schema import ALIASES
+from taichi_sim.files.toml_settings import Simulation
 
 pytestmark = pytest.mark.once
 

@@ -11,8 +11,11 @@ import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
 from taichi_sim.analysis import element_rates as rates_of
 from taichi_sim.analysis.element_rates import element_rates
+from taichi_sim.forces.corners import Corners
+from taichi_sim.forces.sum import _kernels
 from taichi_sim.forces.wind import GUST_WAVES, SIDEWAYS_GUSTS, axes
 from taichi_sim.scene.cells import cell_volumes
+from taichi_sim.scene.elements import ELEMENTS
 
 pytestmark = pytest.mark.long_in("f32")
 
@@ -39,6 +42,14 @@ def box(seed: int = 1) -> ts.Scene:
     scene.add_wind((3.0, 1.0, -2.0), gust=0.5, gust_length=0.7)
     scene.set_balls(position=scene.position + rng.normal(size=(8, 3)) * 0.15)
     return scene
+
+
+def test_every_element_has_kernels_of_its_name_that_are_implicit_as_it_says():
+    for one in ELEMENTS:
+        kernels = _kernels(one.name)
+        given = [getattr(kernels, name) is not getattr(Corners, name) for name in ("corner_product", "corner_block")]
+        assert given == [one.is_implicit] * 2, one.name
+        assert hasattr(ts.Scene, one.method)
 
 
 def square() -> ts.Scene:

@@ -11,7 +11,7 @@ from test_render import FRONT, GREEN, RED, SIZE, balls, greenish, linear, pictur
 
 from taichi_sim import Box, Capsule, Mesh, Scene, SceneError, load_scene, shapes
 from taichi_sim.analysis.lazy_frame import MomentsOf
-from taichi_sim.files.toml_schema import Output
+from taichi_sim.files.toml_settings import Output
 from taichi_sim.render import Camera, Renderer
 from taichi_sim.render.content import Content
 from taichi_sim.render.smoothing import Smoothing

@@ -2,19 +2,13 @@
 
 import inspect
 import re
-from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from physics_support import PRECISION, box_mesh
 
 import taichi_sim as ts
-from taichi_sim.analysis.frame import Placed
 from taichi_sim.geometry.mesh import Surface, holes, mesh_distance, volume
-from taichi_sim.outputs.parts import _bodies
-from taichi_sim.render.bodies import Bodies, filled
-from taichi_sim.scene.collider_forms import FORMS, Form
 from taichi_sim.scene.motion import turn_matrix, turn_vector
 
 pytestmark = pytest.mark.long_in("f64")
@@ -345,39 +339,3 @@ def test_bad_scene_files(tmp_path, old, new, line, message):
 def test_help_of_a_shape_explains_all_arguments(shape):
     for name in inspect.signature(shape).parameters:
         assert re.search(rf"\b{name}\b[^:]*: ", shape.__doc__), name
-
-
-class Wedge(Form):
-    """A tetrahedron in 3D, a triangle in 2D; of a kind that only FORMS knows."""
-
-    @staticmethod
-    def distances(one, p):
-        return p[:, 0] - one.radius
-
-    @staticmethod
-    def triangulated(one, around):
-        return one.radius * np.eye(4, 3), np.array([(0, 1, 2), (3, 1, 0), (3, 2, 1), (3, 0, 2)])
-
-    @staticmethod
-    def outline(one, wider, around):
-        return (one.radius + wider) * np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)])
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_what_is_shown_and_measured_of_a_kind_is_what_its_form_says(dim, monkeypatch):
-    scene = ts.Scene(dim=dim)
-    scene.add_collider(ts.Sphere([1.0] * dim, 0.5))
-    scene.colliders[0] = wedge = replace(scene.colliders[0], kind="wedge")
-    frame = SimpleNamespace(dim=dim, colliders=[Placed(wedge, np.ones(dim), np.eye(dim))])
-    shown = Bodies.of if dim == 3 else filled
-    with pytest.raises(KeyError, match="wedge"):
-        shown(frame)
-    with pytest.raises(KeyError, match="wedge"):
-        wedge.distance(np.zeros((1, dim)), 0.0)
-    monkeypatch.setitem(FORMS, "wedge", Wedge)
-    assert wedge.distance(np.array([[2.0] * dim]), 0.0) == pytest.approx([0.5])
-    if dim == 3:
-        assert shown(frame).vertices.tolist() == (0.5 * np.eye(4, 3)).tolist()
-    else:
-        assert shown(frame)[0].tolist() == [[[1.0, 1.0], [1.5, 1.0], [1.0, 1.5]]]
-    assert [len(body.triangles) for body in _bodies(frame, [])] == [4 if dim == 3 else 1]

@@ -17,7 +17,8 @@ from taichi_sim.analysis.coarse_meshes import ropes
 from taichi_sim.analysis.touching import further_overlap
 from taichi_sim.common.errors import SceneError
 from taichi_sim.files.parameters import put
-from taichi_sim.files.toml_reader import Reader, parsed
+from taichi_sim.files.toml_document import parsed
+from taichi_sim.files.toml_reader import Reader
 from taichi_sim.files.toml_schema import SHAPES
 from taichi_sim.reports.speed_error.command import settled_scene
 from taichi_sim.scene.pins import is_described

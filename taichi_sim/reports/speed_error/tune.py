@@ -245,7 +245,8 @@ def write_settings(file: Path, settings: dict[str, Any]) -> None:
     The file is replaced whole, or not at all."""
     import tomlkit
 
-    from taichi_sim.files.toml_reader import load_scene, tomllib
+    from taichi_sim.files.toml_document import tomllib
+    from taichi_sim.files.toml_reader import load_scene
 
     given = file.read_bytes()
     text = given.decode("utf-8-sig")

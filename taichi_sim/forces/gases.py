@@ -5,7 +5,7 @@ import numpy as np
 from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
-from taichi_sim.forces.incidence import Corners
+from taichi_sim.forces.corners import Corners
 from taichi_sim.geometry.mesh import sides
 from taichi_sim.kernels.reductions import LONG_PART, each_part
 
