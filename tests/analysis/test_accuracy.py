@@ -97,9 +97,9 @@ def test_tr_bdf2_takes_as_much_angular_momentum_as_said():
 
 
 def column_at_rest(n, stiffness, damping, gravity=G, pinned=()):
-    """A column of balls of 1 kg on a floor, joined by springs that bear the weight above them."""
+    """A column of balls of 1 kg on a floor, joined by springs that bear the weight above them; they do not meet each other."""
     scene = ts.Scene(dim=2, gravity=(0.0, -gravity))
-    balls = scene.add_balls([[0.0, 0.02 + 0.1 * i] for i in range(n)], radius=0.02, mass=1.0, pinned=pinned)
+    balls = scene.add_balls([[0.0, 0.02 + 0.1 * i] for i in range(n)], radius=0.02, mass=1.0, pinned=pinned, body=1)
     pairs = np.stack([balls[:-1], balls[1:]], axis=1)
     shortened = G * np.arange(n - 1, 0, -1) / stiffness
     scene.add_springs(pairs, stiffness=stiffness, damping=damping, rest_length=0.1 + shortened)

@@ -218,51 +218,75 @@ def test_a_python_scene(done):
     assert np.load(done[0] / "python.npz")["position"][0, 0, 1] == 2.0
 
 
-@pytest.mark.slow
-def test_a_python_simulation(folder):
-    (folder / "s.py").write_text(
-        "import taichi_sim as ts\n\ndef simulation():\n    scene = ts.Scene(dim=2)\n"
-        "    scene.add_balls([[0, 0]], radius=0.1, velocity=(1, 0))\n    return ts.Simulation(scene, dt=0.01)\n"
-    )
-    assert command(folder, "run", "s.py", "-o", "x.npz", "--fps", "10", "--precision", "f64").returncode == 0
-    assert np.load(folder / "x.npz")["position"][5, 0, 0] == pytest.approx(0.5)
-    done = command(folder, "run", "s.py", "--dt", "0.1")
-    assert done.returncode == 2
-    assert "--dt: s.py makes its own simulation()" in done.stderr
+SIMULATION = """import taichi_sim as ts
+
+def simulation():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0]], radius=0.1, velocity=(1, 0))
+    scene.output = {'fps': 5, 'duration': 0.6}
+    return ts.Simulation(scene, dt=0.01)
+"""
+DRAG = """import taichi as ti
+import taichi_sim as ts
+
+@ti.data_oriented
+class Drag:
+    @ti.func
+    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
+        for i in range(model.n):
+            impulse[i] -= h * 0.3 * ball[i].v
+
+    def damping_rate(self, scene):
+        return 0.3 / scene.mass.min()
+
+def simulation():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 0], [0, 1]], radius=0.1)
+    scene.add_springs([[0, 1]], stiffness=30.0)
+    return ts.Simulation(scene, dt=4e-3, forces=[Drag()])
+"""
+DEEP = "format = 1\ndim = 2\n[[balls]]\nposition = [[0.0, 3.0], [0.0, 3.05]]\nradius = 0.1\n"
+SLOW = {
+    "own": ("run", "s.py", "-o", "own.npz", "--precision", "f64"),
+    "faster": ("run", "s.py", "-o", "faster.npz", "--fps", "10"),
+    "step": ("run", "s.py", "--dt", "0.1"),
+    "force": ("check", "drag.py"),
+    "settle": ("check", "drag.py", "--settle"),
+    "deep": ("check", "deep.toml"),
+    "tolerance": ("check", "stiff.toml", "--tolerance", "1e-3"),
+    "unstable": ("run", "stiff.toml", "-o", "x.npz", "--duration", "20"),
+}
+
+
+@pytest.fixture(scope="module")
+def slowly(tmp_path_factory):
+    """A folder in which one process ran the commands of SLOW, with status, output and errors of each."""
+    folder = tmp_path_factory.mktemp("slow")
+    for name, text in {"s.py": SIMULATION, "drag.py": DRAG, "deep.toml": DEEP, "stiff.toml": STIFF}.items():
+        (folder / name).write_text(text)
+    return folder, dict(zip(SLOW, in_one_process(folder, list(SLOW.values()))))
 
 
 @pytest.mark.slow
-def test_check_takes_a_python_simulation_that_has_a_force(folder):
-    (folder / "s.py").write_text(
-        "import taichi as ti\nimport taichi_sim as ts\n\n\n@ti.data_oriented\nclass Drag:\n    @ti.func\n"
-        "    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):\n"
-        "        for i in range(model.n):\n            impulse[i] -= h * 0.3 * ball[i].v\n\n"
-        "    def damping_rate(self, scene):\n        return 0.3 / scene.mass.min()\n\n\n"
-        "def simulation():\n    scene = ts.Scene(dim=2)\n"
-        "    scene.add_balls([[0, 0], [0, 1]], radius=0.1)\n    scene.add_springs([[0, 1]], stiffness=30.0)\n"
-        "    return ts.Simulation(scene, dt=4e-3, forces=[Drag()])\n"
-    )
-    done = command(folder, "check", "s.py")
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "spring 0" in done.stdout
-    done = command(folder, "check", "s.py", "--settle")
-    assert "--settle: s.py makes its own simulation()" in done.stderr
+def test_a_python_simulation_is_run_as_its_scene_says(slowly):
+    folder, said = slowly
+    for name, fps in (("own", 5), ("faster", 10)):
+        assert said[name][0] == 0
+        with np.load(folder / f"{name}.npz") as arrays:
+            time = np.arange(0.6 * fps + 1) / fps
+            assert arrays["time"] == pytest.approx(time)
+            assert arrays["position"][:, 0, 0] == pytest.approx(time)
+    status, _, errors = said["step"]
+    assert status == 2
+    assert "--dt: s.py makes its own simulation()" in errors
 
 
 @pytest.mark.slow
-def test_a_python_simulation_is_shown_as_its_scene_says(folder):
-    (folder / "s.py").write_text(
-        "import taichi_sim as ts\n\ndef simulation():\n    scene = ts.Scene(dim=2)\n"
-        "    scene.add_balls([0, 0], radius=0.1)\n    scene.output = {'fps': 5, 'duration': 0.6}\n"
-        "    return ts.Simulation(scene, dt=1e-3)\n",
-        encoding="utf-8",
-    )
-    assert command(folder, "run", "s.py", "-o", "a.npz").returncode == 0
-    with np.load(folder / "a.npz") as arrays:
-        assert arrays["time"].tolist() == pytest.approx([0.0, 0.2, 0.4, 0.6])
-    assert command(folder, "run", "s.py", "-o", "a.npz", "--fps", "10").returncode == 0
-    with np.load(folder / "a.npz") as arrays:
-        assert len(arrays["time"]) == 7
+def test_check_takes_a_python_simulation_that_has_a_force(slowly):
+    status, said, errors = slowly[1]["force"]
+    assert (status, errors) == (0, "")
+    assert "spring 0" in said
+    assert "--settle: drag.py makes its own simulation()" in slowly[1]["settle"][2]
 
 
 def test_check_says_what_is_safe(done):
@@ -273,30 +297,28 @@ def test_check_says_what_is_safe(done):
 
 
 @pytest.mark.slow
-def test_check_names_balls_that_overlap_at_the_start(folder):
-    (folder / "deep.toml").write_text(
-        "format = 1\ndim = 2\n[[balls]]\nposition = [[0.0, 3.0], [0.0, 3.05]]\nradius = 0.1\n"
-    )
-    done = command(folder, "check", "deep.toml")
-    assert done.returncode == 0, done.stderr
-    assert "at the start ball 0 and ball 1 overlap by 1.5 of the smaller radius: move apart" in done.stderr
+def test_check_names_balls_that_overlap_at_the_start(slowly):
+    status, _, errors = slowly[1]["deep"]
+    assert status == 0
+    assert "at the start ball 0 and ball 1 overlap by 1.5 of the smaller radius: move apart" in errors
 
 
 @pytest.mark.slow
-def test_check_says_that_a_tolerance_chooses_the_step(folder):
-    done = command(folder, "check", "stiff.toml", "--tolerance", "1e-3")
-    assert done.returncode == 0, done.stderr
-    assert "at first; the tolerance of 0.001 chooses it" in done.stdout
+def test_check_says_that_a_tolerance_chooses_the_step(slowly):
+    status, said, _ = slowly[1]["tolerance"]
+    assert status == 0
+    assert "at first; the tolerance of 0.001 chooses it" in said
 
 
 # What goes wrong ---------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
-def test_unstable_keeps_the_frames_and_warns_before(folder):
-    done = command(folder, "run", "stiff.toml", "-o", "x.npz", "--duration", "20")
-    assert done.returncode == 3
-    warning, grew, kept, reason = done.stderr.splitlines()
+def test_unstable_keeps_the_frames_and_warns_before(slowly):
+    folder, said = slowly
+    status, _, errors = said["unstable"]
+    assert status == 3
+    warning, grew, kept, reason = errors.splitlines()
     assert warning.startswith("warning: dt = 0.05 s is above the safe bound of 0.0115")
     assert grew.startswith("warning: energy grew from ")
     frames = len(np.load(folder / "x.npz")["time"])

@@ -39,7 +39,9 @@ def test_impacts_at_edges_and_corners_have_the_direction_from_the_nearest_point(
         down = velocity - [0.0, SPEED, 0.0]
         x = point + radius[:, None] * n + time[:, None] * (velocity - down)
         balls.append(
-            scene.add_balls(x, radius=radius, velocity=down, material="elastic", group=f"b{k}", collides_with=[f"m{k}"])
+            scene.add_balls(
+                x, radius=radius, velocity=down, material="elastic", body=1, group=f"b{k}", collides_with=[f"m{k}"]
+            )
         )
         own.append((velocity, time))
     with simulate(scene, dt=H, spin=False) as sim:

@@ -95,7 +95,7 @@ def cone():
         (150, 0.2, 0.0, "rough"),
         (260, 0.5, 0.3, "elastic"),
     ):
-        scene.add_balls(around(start(down, gap), degrees), radius=R, material=material)
+        scene.add_balls(around(start(down, gap), degrees), radius=R, material=material, body=1)
     scene.add_collider(Cone((0, 0, 0), RADIUS, HEIGHT, material="rough"))
     with simulate(scene, dt=1e-3) as sim:
         x, v = [sim.position], [sim.velocity]

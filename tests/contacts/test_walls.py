@@ -331,7 +331,7 @@ def test_what_impulse_probes_of_all_walls_sum_is_what_bodies_lost(damping, brick
 
 
 @pytest.mark.skipif(not F64, reason="a balance to rounding")
-@pytest.mark.parametrize("method", ["verlet", "tr_bdf2"])
+@pytest.mark.parametrize("method", ["verlet", pytest.param("tr_bdf2", marks=pytest.mark.slow)])
 def test_probes_count_what_stops_a_ball_that_bounces_too_often_in_a_step(method):
     """Springs press balls so hard that their bounces in one step take any part of it: the moves of some of them end early."""
     e, h, mass, stiffness, gravity = 0.86, 0.003, 0.4, 1500.0, np.array([0.0, -4.0])
@@ -352,6 +352,8 @@ def test_probes_count_what_stops_a_ball_that_bounces_too_often_in_a_step(method)
                 [low, low + 0.5 * normal], radius=R, mass=mass, velocity=0.6 * along - fall * normal, material="hard"
             )
             scene.add_springs([pair], stiffness=stiffness, rest_length=0.5 + pull * mass / stiffness)
+    if method != "verlet":  # none meets another
+        scene.set_balls(body=1)
     lost = []
     with simulate(scene, integrator=method, dt=h, substeps=1) as sim:
         for _ in range(6):

@@ -107,7 +107,7 @@ def test_a_stale_lock_of_the_cache_is_removed_and_said(tmp_path, monkeypatch):
     assert not lock.exists()
 
 
-BEGIN = """
+RESTARTS = """
 import numpy as np
 import taichi_sim as ts
 from taichi_sim.device import backend
@@ -120,8 +120,6 @@ def is_closed(sim):
         return "closed" in str(error)
     return False
 
-"""
-STOPS = """
 scene = ts.Scene(dim=2, gravity=(0, -8))
 scene.add_balls([[0, 2], [0.5, 3]], radius=0.1)
 ends = []
@@ -137,12 +135,6 @@ backend.stop()
 assert np.array_equal(ends[0], ends[1])
 assert np.allclose(ends[0], ends[2], atol=1e-5)
 assert not np.array_equal(ends[0], ends[2])
-"""
-
-
-RESETS = """
-scene = ts.Scene(dim=2, gravity=(0, -8))
-scene.add_balls([[0, 2]], radius=0.1)
 for own in (ti.reset, lambda: ti.init(arch=ti.cpu, default_fp=ti.f32)):
     old = ts.Simulation(scene, precision="f64", arch="cpu", contacts="off", dt=1e-3)
     own()
@@ -154,19 +146,14 @@ for own in (ti.reset, lambda: ti.init(arch=ti.cpu, default_fp=ti.f32)):
 """
 
 
-def test_after_somebodys_own_reset_of_taichi_simulations_start_it_again():
-    done = subprocess.run([sys.executable, "-c", BEGIN + RESETS], capture_output=True, text=True, timeout=120)
+def test_simulations_start_the_engine_again_after_a_stop_in_any_precision_and_somebodys_own_reset():
+    done = subprocess.run([sys.executable, "-c", RESTARTS], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
 
 
 def test_threads_of_a_gpu_are_refused():
     with pytest.raises(ValueError, match="threads: 2 is not allowed; they are those of arch 'cpu', and 'vulkan'"):
         backend.start(arch="vulkan", threads=2)
-
-
-def test_a_stopped_engine_starts_again_in_any_precision():
-    done = subprocess.run([sys.executable, "-c", BEGIN + STOPS], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("threads", [0, -1, True, 2.0, backend.MOST_THREADS + 1, 4096 * 4096])

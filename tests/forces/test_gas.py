@@ -11,6 +11,7 @@ import taichi_sim as ts
 from taichi_sim.analysis.element_rates import Declared
 from taichi_sim.analysis.methods import named
 from taichi_sim.analysis.stability import explicit_parts, stability
+from taichi_sim.device.engine import ti
 from taichi_sim.integrators.implicit_euler import ImplicitEuler
 from taichi_sim.reports.check import _limited
 
@@ -36,6 +37,24 @@ def test_a_gas_resists_by_its_pressure_over_its_volume():
         pressure, rate = gases.pressure.to_numpy()[0], gases.rate.to_numpy()[0]
     assert pressure > 1.0
     assert rate == pytest.approx((pressure + 35.0) / volume, rel=1e-9 if F64 else 1e-5)
+
+
+@ti.kernel
+def choose_step(solver: ti.template()):
+    solver._choose_step(0)
+
+
+def test_only_the_first_direction_of_negative_curvature_is_followed():
+    """Down its slope, which others of the search need not lead; either ends it."""
+    with simulate(balloon(0, 0.2), dt=1e-3, integrator="implicit_euler", contacts="off") as sim:
+        solver = sim.parts.integrator.solver
+        for searches, curvature, step in ((0, -2.0, 1.5), (1, -2.0, 0.0), (1, 4.0, 0.75)):
+            solver.number[0].searches = searches
+            solver.part.descent.fill(0.0)
+            solver.part.curvature.fill(0.0)
+            solver.part[0].descent, solver.part[0].curvature = 3.0, curvature
+            choose_step(solver)
+            assert (solver.number[0].step, solver.number[0].saddle) == (step, curvature < 0.0)
 
 
 @pytest.mark.parametrize("method", STIFF)

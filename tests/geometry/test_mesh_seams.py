@@ -53,9 +53,10 @@ def test_a_seam_in_a_file_is_closed(tmp_path, gap):
 
 def test_what_a_seam_is_not(tmp_path):
     """A slit that is wider, small triangles beside large ones, and closed meshes stay as they are."""
-    vertices, triangles = side_by_side(0.02)
-    assert len(read_surface(written(tmp_path, vertices, triangles)).vertices) == len(vertices)
-    assert not len(loose_seams(Surface(vertices, triangles)))
+    for gap in (0.02, 0.0012):  # a fifth and 1.2 % of the shortest edge
+        vertices, triangles = side_by_side(gap)
+        assert len(read_surface(written(tmp_path, vertices, triangles)).vertices) == len(vertices)
+        assert bool(len(loose_seams(Surface(vertices, triangles)))) == (gap < 0.01)
     thin = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1e-5, 0, 0]])  # a closed one with a short edge
     faces = [(0, 2, 4), (4, 2, 1), (0, 4, 3), (4, 1, 3), (1, 2, 3), (0, 3, 2)]
     assert len(read_surface(written(tmp_path, thin, np.array(faces))).vertices) == 5

@@ -22,6 +22,7 @@ from taichi_sim.reports.speed_error.plan import (
     METHODS,
     PARTS,
     Plan,
+    Step,
     about,
     duration_of,
     fitting,
@@ -31,6 +32,7 @@ from taichi_sim.reports.speed_error.plan import (
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.report_folder import ReportFolder
 from taichi_sim.reports.speed_error.trial_process import Outcome
+from taichi_sim.reports.speed_error.trials import Trials
 from taichi_sim.studies import records
 
 pytestmark = pytest.mark.once
@@ -519,6 +521,16 @@ def test_intervals_hold_the_mean():
         (found,) = statistics.intervals(seeds)
         hits += abs(found.mean["kinetic"] - 3.0) < found.half["kinetic"]
     assert 0.92 < hits / 400 < 0.98
+
+
+@pytest.mark.parametrize(("gravity", "up"), [((0.0, 0.0), (0, 1)), ((0.0, 5.0), (0, -1)), ((-4.0, 0.0), (1, 0))])
+def test_heights_grow_against_gravity(gravity, up):
+    """Along the last axis where there is none; of balls that are not pinned."""
+    scene = pair()
+    scene.gravity = np.array(gravity)
+    scene.set_balls([0, 1], position=[(7.0, 7.0), (1.0, 3.0)], pinned=[True, False])
+    seed = statistics.one_seed(Trials(scene, plan(), MadeUp(scene)), "f64", "rk4", Step(50, 1e-3), 1)
+    assert seed.height == pytest.approx(np.dot(scene.position[1], up), abs=0.1)
 
 
 @pytest.fixture(scope="module")

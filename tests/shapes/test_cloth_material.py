@@ -204,8 +204,9 @@ def test_nothing_crosses_an_edge_folded_onto_itself(fold):
 
 
 @pytest.mark.parametrize("rigidity", [None, RIGIDITY])
-def test_nothing_bends_beside_a_triangle_without_area(rigidity):
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 0.3, 1]])
+@pytest.mark.parametrize("height", [0.0, 1e-7])
+def test_nothing_bends_beside_a_triangle_without_area(rigidity, height):
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [2, height, 0], [0, 0.3, 1]])
     bends, pairs, _ = mesh_bends(Surface(corners, np.array([[0, 3, 1], [0, 1, 2]], dtype=np.int32)), rigidity)
     assert (len(bends.corners), len(pairs)) == (0, 0)
 
