@@ -45,6 +45,7 @@ class Bending(Corners):
         data = {name: values[kept] for name, values in data.items()}
         self.gather(model, fields, others[kept], bends.T.ravel()[kept], columns, data)
         self.coupled = not self.damped and not self.tears
+        self.reads_p = not self.coupled
         if self.coupled:
             self.couplings = _Couplings(bends, scene.bend_weights, stiffness, model, fields)
 

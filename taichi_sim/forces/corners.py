@@ -41,6 +41,7 @@ class Corners:
     half_step: Any  # s: field of one, where staged
     refined = True
     derivatives = 1
+    reads_p = True  # products read ball[j].p, not only the vector that is passed to `add_products`
 
     def gather(
         self,

@@ -37,6 +37,7 @@ class StageElements:
         self.held = [_HeldCorners(one.ties, model.scene.pinned, fields) for one in elements]
         self.step, self.half_step, self.time = fields.reals(1), fields.reals(1), fields.reals(1)
         self.wide = fields.wide
+        self.reads_p = any(one.reads_p for one in elements)
         self.has_curvature = any(one.derivatives > 1 for one in elements)
         for one in elements:
             one.staged, one.half_step = True, self.half_step
@@ -70,9 +71,10 @@ class StageElements:
     @ti.func
     def multiply(self, p: ti.template(), total: ti.template()):
         """total (n) += the elements' part of the matrix times p (n), all padded."""
-        for i in range(self.n):
-            for table in ti.static(self.tables):
-                table[i].p = padded_blocks.cut(p[i], self.dim)
+        if ti.static(self.reads_p):
+            for i in range(self.n):
+                for table in ti.static(self.tables):
+                    table[i].p = padded_blocks.cut(p[i], self.dim)
         for one, there in ti.static(zip(self.elements, self.there)):
             one.prepare_product(there, self.step[0])
             one.add_products(p, there, total, self.step[0])
