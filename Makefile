@@ -36,11 +36,6 @@ test-more: env ## Run the slow tests that `make test` leaves out, some twenty mi
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "slow and not long"
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "slow and not long"
 
-# both at once: tests are collected once less, which takes a dozen seconds, and no processor waits for the last quick one
-test-most: env ## Run the tests of `make test` and of `make test-more`.
-	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m "not long"
-	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m "not long"
-
 # the same answers on a device as on the CPU: ARCH=cuda, metal or vulkan, which without a GPU is SwiftShader
 ARCH ?= vulkan
 test-gpu: env ## Compare a device with the CPU: ARCH=cuda, metal or vulkan.
@@ -74,7 +69,7 @@ test-long: env ## Run the tests that take hours.
 	TAICHI_SIM_PRECISION=f32 $(PYTEST) -m long
 	TAICHI_SIM_PRECISION=f64 $(PYTEST) -m long
 
-test-all: test-most test-gpu test-quadrants test-long ## Run all tests.
+test-all: test test-more test-gpu test-quadrants test-long ## Run all tests.
 
 check: env ## Check format, lint and types.
 	$(BIN)/ruff format --check .
