@@ -52,9 +52,9 @@ class Scales(NamedTuple):
     that part at the start or the end, whichever is larger. squeezes: colliders or pins move. damps: the name of a method that
     takes energy itself. gains: why the method may give energy, in words; cure: of that. held [J]: the largest kinetic
     and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
-    above the start; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy. touches:
-    there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the start. rounding [J]: by which
-    sums of energy may be off."""
+    above the least before; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy.
+    touches: there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the start. rounding [J]:
+    by which sums of energy may be off."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -193,13 +193,13 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
 
 
 def _rose(start: float, end: float, scales: Scales, kept: float) -> str:
-    """Words on the energy [J] at the end, or at its highest, above the start, by the largest in motion that the start explains;
+    """Words on the energy [J] at the end, above the start, or by which it rose, by the largest in motion that the start explains;
     empty where it is no more than methods keep to."""
     held = scales.held or scales.motion
     gained, risen = (end - start) / held, scales.risen / held
     of = f"the largest energy in motion{' that the start explains' if scales.held else ''}, {held:.4g} J"
     if risen > max(LOST, scales.swing, gained):
-        return f"rose by up to {scales.risen:.4g} J above the start, {_times(risen)} {of}: wrong"
+        return f"rose by up to {scales.risen:.4g} J above the least before, {_times(risen)} {of}: wrong"
     if gained > kept:
         return f"gained {end - start:.4g} J, {_times(gained)} {of}: {_grade(gained, kept, max(LOST, kept))}"
     return ""

@@ -1,6 +1,7 @@
 """Received: the impulses that balls give the walls and colliders whose probes ask for them."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,13 @@ class Received:
     def restore(self) -> None:
         """Return to the state last kept."""
         self.sum.fill(0)
+
+    def live(self) -> list[Any]:
+        """Fields that a substep changes."""
+        return [self.sum]
+
+    def renew(self) -> None:
+        """What `live` gives was put back."""
 
     def value(self) -> NDArray[np.float64]:
         """(bodies, dim) N s since the start."""

@@ -86,6 +86,14 @@ class Tearing:
         if not np.array_equal(self.torn.to_numpy(), self.kept.to_numpy()):
             self._set(self.kept.to_numpy())
 
+    def live(self) -> list[Any]:
+        """Fields that a substep changes."""
+        return [self.torn]
+
+    def renew(self) -> None:
+        """What `live` gives was put back."""
+        self._set(self.torn.to_numpy())
+
     def _set(self, torn: NDArray[Any]) -> None:
         self.torn.from_numpy(torn)
         fill(self.springs.spring.stiffness, np.where(torn > 0, 0.0, self.stiffness))

@@ -37,7 +37,7 @@ from taichi_sim.scene.motors import Motor
 from taichi_sim.scene.probes import bodies_of
 from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
-from taichi_sim.simulation.choices import compensates, is_serial, is_small, order_of_springs, rule_of, turning
+from taichi_sim.simulation.choices import compensates, divides, is_serial, is_small, order_of_springs, rule_of, turning
 from taichi_sim.simulation.contact_capacity import (
     NO_CAPACITY_KNOWN,
     PAIR_BYTES,
@@ -47,6 +47,7 @@ from taichi_sim.simulation.contact_capacity import (
     room_of,
     spare_bytes,
 )
+from taichi_sim.simulation.division import Beginning
 from taichi_sim.simulation.drivers import Drivers
 from taichi_sim.simulation.moments import KEPT, Moments, unnamed
 from taichi_sim.simulation.settings import Settings
@@ -156,6 +157,9 @@ class Assembly:
         self.integrator.bind(self.model, self.state, self.forces, self.contacts, self.fields)
         kind = Moments if settings.tolerance is None else SecondSolution
         self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
+        self.beginning: Beginning | None = None
+        if divides(settings, self.integrator, self.contacts):
+            self.beginning = Beginning(self.state, self.integrator, self.contacts, self.fields, self.fused)
         size = scene.n_balls + scene.n_springs
         self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing, size)
 

@@ -17,7 +17,7 @@ from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene, used_materials
 from taichi_sim.simulation.settings import Settings
 
-__all__ = ["compensates", "is_serial", "is_small", "order_of_springs", "rule_of", "turning"]
+__all__ = ["compensates", "divides", "is_serial", "is_small", "order_of_springs", "rule_of", "turning"]
 
 # balls + springs and their like, up to which one thread is faster than two. A substep that looks for contacts has some fifty
 # parallel loops, which two threads take 1.2 ms to begin: a jelly of 24 000 takes 0.5 ms fused, 1.5 ms on two threads
@@ -42,6 +42,13 @@ def rule_of(settings: Settings, cpu: bool) -> ContactRule:
             + (", or accumulate 'ordered'" if cpu else ""),
         )
     return another(rule)  # one object may serve several simulations
+
+
+def divides(settings: Settings, integrator: Any, contacts: ContactRule) -> bool:
+    """True if substeps that gain energy are to be divided: of methods that solve stages, before they know of contacts."""
+    return (
+        settings.substeps == "auto" and settings.tolerance is None and contacts.active and bool(integrator.counters())
+    )
 
 
 def order_of_springs(scene: Scene, integrator: Any, fixed: str, *, cpu: bool, atomic: bool, parallel: bool) -> str:

@@ -69,9 +69,9 @@ class Growth(NamedTuple):
 class EnergyMonitor:
     """Judges samples of one run (see state_probe.StateSample), one after another; `begin` forgets those before.
 
-    held: the largest kinetic and elastic energy [J] that the energy at the start explains; risen: the most [J] by which the
-    total has been above the start. part: the substep as a part of the bound for every shape. closed: nothing works on the
-    scene. contacts: there are some.
+    held: the largest kinetic and elastic energy [J] that the energy at the start explains; low: the sample of the least total so
+    far; risen: the most [J] by which the total has been above that. part: the substep as a part of the bound for every shape.
+    closed: nothing works on the scene. contacts: there are some.
     """
 
     def __init__(
@@ -90,10 +90,11 @@ class EnergyMonitor:
         self.start, self.held, self.risen = np.inf, 0.0, 0.0
         self.least, self.most = np.inf, 0.0
         self.last: Any = None  # sample
+        self.low: Any = None
 
     def start_at(self, sample: Any) -> None:
         """Begin a run with the state of `sample`."""
-        self.start, self.held, self.risen = sample.total, sample.motion, 0.0
+        self.start, self.held, self.risen, self.low = sample.total, sample.motion, 0.0, sample
         self.begin(sample)
 
     def begin(self, sample: Any) -> None:
@@ -108,16 +109,17 @@ class EnergyMonitor:
         return growth
 
     def rise(self, sample: Any) -> Growth | None:
-        """Note a sample, which is kept, and give the growth since the start, or None: of methods that only lose energy, where it
-        is more than a part of what the start explains; contacts may lift balls by their radius."""
+        """Note a sample, which is kept, and give the growth above the least energy so far, or None: of methods that only lose
+        energy, where it is more than a part of what the start explains."""
         if np.isinf(self.start):  # of a run that goes on from a file
-            self.start = sample.total
-        above = max(0.0, sample.total - self.start)
-        self.held = max(self.held, sample.motion - above)
-        self.risen = max(self.risen, above - self.lift - self._rounding(sample))
-        if not self.closed or not self.only_loses or self.risen <= MOST_RISE * self.held:
-            return None
-        return Growth(self.start, sample.total, True)
+            self.start, self.low = sample.total, self.low or sample
+        self.held = max(self.held, sample.motion - max(0.0, sample.total - self.start))
+        gain = self._gain(self.low, sample)
+        self.risen = max(self.risen, gain)
+        if sample.total < self.low.total:
+            self.low = sample
+        rises = self.closed and self.only_loses and gain > MOST_RISE * self.held
+        return Growth(self.low.total, sample.total, True) if rises else None
 
     def growth(self, sample: Any, most: float = 0.0) -> Growth | None:
         """The growth that a sample shows, or None. most: kinetic plus elastic energy [J] that others have shown since then."""
@@ -133,10 +135,16 @@ class EnergyMonitor:
         return None
 
     def gain_of_step(self, before: Any, after: Any, kinetic: float) -> float:
-        """Energy that one step gave, in parts of a kinetic energy [J]; 0 where it may be rounding, what overlap held, or little:
-        contacts may lift balls by their radius."""
-        gain = after.total - before.total - self.lift - self._rounding(before) - self._rounding(after)
+        """Energy that one step gave, in parts of a kinetic energy [J]; 0 where it may be what contacts and rounding explain, or
+        little."""
+        gain = self._gain(before, after)
         return gain / kinetic if gain > STEP_GROWTH * kinetic else 0.0
+
+    def _gain(self, before: Any, after: Any) -> float:
+        """Energy [J] that appeared from one sample to another, less what may be rounding, and what contacts, which push balls out
+        of each other, may have lifted: each by its radius."""
+        lifted = min(self.lift, max(0.0, after.gravity - before.gravity))
+        return after.total - before.total - lifted - self._rounding(before) - self._rounding(after)
 
     @property
     def rounding(self) -> float:

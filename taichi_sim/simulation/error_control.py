@@ -167,6 +167,7 @@ class ErrorControl:
         run.remembers = self.began
         run.steps, self.taken, self.error, self.lag, self.least, self.most = self._mark[:6]
         monitor.least, monitor.most, monitor.last = self._mark[6:]
+        monitor.low = monitor.last
 
     def advance(self, target: int) -> None:
         """Make a step, or go back to where both solutions began, where the steps before need more substeps."""

@@ -20,6 +20,7 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.scene.snapshot import Snapshot
 from taichi_sim.simulation.assembly import Assembly
 from taichi_sim.simulation.contact_capacity import ContactCapacity
+from taichi_sim.simulation.division import Division
 from taichi_sim.simulation.energy_monitor import EnergyMonitor
 from taichi_sim.simulation.error_control import ErrorControl
 from taichi_sim.simulation.moments import KEPT, LIVE
@@ -41,7 +42,7 @@ class Stepper:
     steps: made since `begin` [s]. mark: what is kept is of that step; end: of the chunk. remembers: whether a method's own memory
     belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls. kinetic:
     the largest kinetic energy [J] of all looks; gained: the most that a substep of an implicit method has gained, in parts of
-    that; gained_before: the same, when the chunk began.
+    that. watched: what is known of substeps that were looked at, as it was when the present was last kept.
     """
 
     saved: tuple[str, ...] = (
@@ -57,7 +58,7 @@ class Stepper:
         "largest_motion",
         "kinetic",
         "gained",
-        "gained_before",
+        "watched",
     )
 
     def __init__(
@@ -75,10 +76,11 @@ class Stepper:
         self.moved = False  # by steps, since places were set
         # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
         self.largest_motion = 0.0
-        self.kinetic = self.gained = self.gained_before = 0.0
+        self.kinetic = self.gained = 0.0
         parts.moments.h[LIVE] = self.h
         self._seen: StateSample | None = None  # of the present state, where it is known
-        self.checks, self.retry = RunChecks(self), Retry(self)
+        self.checks, self.retry, self.division = RunChecks(self), Retry(self), Division(self)
+        self._note()
         self.policy: Retry | ErrorControl = self.retry if settings.tolerance is None else ErrorControl(self)
         self.monitor = EnergyMonitor(
             scene,
@@ -145,7 +147,8 @@ class Stepper:
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.start_at(sample)
         self.largest_motion, self.checks.fastest = sample.motion, sample.speed
-        self.kinetic, self.gained, self.gained_before = sample.kinetic, 0.0, 0.0
+        self.watched = [sample.kinetic, 0.0, 0, 1, 1]  # what ran before has no say
+        self._take_back()
         self.primed, self.moved = True, False
         self.policy.start()
 
@@ -161,11 +164,16 @@ class Stepper:
         self.parts.moments.store(KEPT)
         self.parts.state.keep()
         self.mark = self.steps
+        self._note()
+
+    def _note(self) -> None:
+        """What is known of watched substeps belongs to what is kept."""
+        division = self.division
+        self.watched = [self.kinetic, self.gained, division.number, division.finest, division.parts]
 
     def new_chunk(self) -> None:
         """Begin a chunk, the steps that run before the state is checked again, with this step, from the state last kept."""
         self._begun = False
-        self.gained_before = self.gained
         self.end = self.steps + max(1, self.chunk // self.substeps)
 
     def start(self) -> None:
@@ -192,10 +200,18 @@ class Stepper:
 
     def go_back(self) -> None:
         """Go back to what is kept."""
+        self.parts.set_step(self.h, holds=False)  # a substep may have been interrupted in parts
         self.parts.state.restore()
         self.parts.moments.load(KEPT, self.h)
         self.steps, self._begun, self.halfway = self.mark, False, False
         self._seen = None
+        self._take_back()
+
+    def _take_back(self) -> None:
+        """What is known of watched substeps is what was known then."""
+        self.kinetic, self.gained, number, finest, parts = self.watched
+        division = self.division
+        division.number, division.finest, division.parts = int(number), int(finest), int(parts)
 
     def run_to(self, target: int) -> StateSample:
         """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
@@ -229,20 +245,16 @@ class Stepper:
 
     def _launch_each(self, first: int, substeps: int) -> None:
         """Run substeps one at a time, and look at what each gains."""
-        before = self.look()
+        seen = self.look()
         for number in range(first, first + substeps):
             self._seen = None
-            self.parts.run(number, 1, self.h, self.marked)
-            after = self.look()
-            self.kinetic = max(self.kinetic, after.kinetic)
-            self.gained = max(self.gained, self.monitor.gain_of_step(before, after, self.kinetic))
-            before = after
+            seen, gain = self.division.advance(number, seen)
+            self._seen = seen
+            self.kinetic, self.gained = max(self.kinetic, seen.kinetic), max(self.gained, gain)
 
     def divide(self, substeps: int) -> None:
         """Take so many substeps from now on, from what is kept."""
         self.substeps = substeps
-        self.gained = self.gained_before
-        self.parts.set_step(self.h, holds=False)
         self.go_back()
 
     # To a snapshot and back ----------------------------------------------------------------------------------------
@@ -331,6 +343,7 @@ class Stepper:
         monitored = _monitored(snapshot.stepping["monitor"])
         if monitored is not None:
             self.monitor.least, self.monitor.most, self.monitor.last = monitored
+            self.monitor.low = self.monitor.last
 
 
 def _monitored(given: Any) -> tuple[float, float, StateSample] | None:

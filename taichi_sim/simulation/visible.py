@@ -156,7 +156,8 @@ class Visible(Reader):
     def decisions(self) -> list[str]:
         """Decisions made for the run, such as the integrator, and during it, each with the time from which on it holds: shorter
         substeps, more room for contacts."""
-        return [*filter(None, [self.settings.chosen]), *self._stepper.checks.decisions]
+        run = self._stepper
+        return [*filter(None, [self.settings.chosen]), *run.checks.decisions, *run.division.said()]
 
     def scales(self) -> Scales:
         """Scales by which a run is judged."""
