@@ -272,16 +272,9 @@ def present_target(solver: ti.template(), i, j, c, accumulated):
 
 
 @ti.func
-def correct_positions(solver: ti.template(), ball: ti.template(), i, h, how: ti.template()):
-    """Displacements [m] that separate the pairs of ball i where their own motion does not. Velocities never see them."""
-    for t in range(solver.pairs.touching[i]):
-        c = pair_entry(solver.pairs, solver.pairs.first[i], t)
-        correct_position(solver, ball, i, solver.pairs.link[c].other, c, h)
-
-
-@ti.func
-def correct_position(solver: ti.template(), ball: ti.template(), i, j, c, h):
-    """Displacement [m] that separates the pair of balls i and j in link c where their own motion does not.
+def correct_position(ball: ti.template(), i, j, c, solver: ti.template(), h):
+    """Displacement [m] that separates the pair of balls i and j in link c where their own motion does not. Velocities never
+    see it.
 
     In turn a pair that does not bounce keeps its angular momentum: further apart it turns as much more slowly.
     """

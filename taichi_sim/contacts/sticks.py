@@ -21,6 +21,7 @@ class Sticks(WeightedContacts):
     ball and -(1 - at), -at on the ends. Contacts of a stick lie together. capacity: contacts known to be needed."""
 
     what = "balls that touch sticks"
+    names = ("sticks",)
     balls_per_contact = 3
     most = LARGEST_CAPACITY
 
@@ -58,10 +59,6 @@ class Sticks(WeightedContacts):
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(model.n), fields.integers(model.n)
         self.used, self.entries, self.overflow = (fields.integers(1) for _ in range(3))
-
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["sticks"]
 
     def forget(self) -> None:
         """Clear what contacts have accumulated, once sticks are looked at again."""

@@ -39,6 +39,7 @@ class TriangleContacts(WeightedContacts):
     kernels.contacts.triangle_pairs, for how pairs are found triangle_bvh. capacity: contacts known to be needed."""
 
     what = "surfaces that touch"
+    names = ("triangles",)
     balls_per_contact = 4
     most = LARGEST_CAPACITY
 
@@ -125,10 +126,6 @@ class TriangleContacts(WeightedContacts):
         self.searched_position, self.searched_displacement = fields.vectors(n, 3), fields.vectors(n, 3)
         # [m] in common to all: way since then, change of the expected displacement, way of this step
         self.common_way, self.common_change, self.common_step = (fields.vectors(1, 3) for _ in range(3))
-
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["triangles"]
 
     @ti.func
     def ball_of(self, c, k):

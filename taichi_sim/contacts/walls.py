@@ -41,6 +41,7 @@ class Walls(Surfaces):
     ):
         super().__init__(model, fields, colliders, plan.limits_energy or plan.bends)
         self.state, self.plan, self.threshold = state, plan, threshold
+        self.names = ("walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else []))
         # impulse: along the normal [N s]; target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
         columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
         if model.has_friction:
@@ -78,10 +79,6 @@ class Walls(Surfaces):
             self.reflected = fields.vectors(model.n, model.dim)
             if self.probed:
                 self.reflecting_body = fields.integers(model.n)  # that it was an impact on, or -1
-
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else [])]
 
     @ti.func
     def move(self, i, x, v, a, h, change):
