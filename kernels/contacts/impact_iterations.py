@@ -304,12 +304,11 @@ def add_change(solver: ti.template(), ball: ti.template(), i, j, c, r):
     """Add to the sums of the island of root r what an iteration changed by the normal impulse of contact c of balls i and j,
     and limit how far this may go on."""
     accumulated = solver.pairs.link[c].impulse
-    change = last_change(solver.pairs.contact, c, accumulated)
+    change, longest = last_change(solver.pairs.contact, c, accumulated, solver.longest_extension[r])
+    solver.longest_extension[r] = longest
     p = change * solver.pairs.contact[c].normal
     solver.velocity_change[i] = solver.velocity_change[i] - solver.model.inverse_mass[i] * p
     solver.velocity_change[j] = solver.velocity_change[j] + solver.model.inverse_mass[j] * p
-    if change < 0.0:
-        solver.longest_extension[r] = ti.min(solver.longest_extension[r], accumulated / -change)
     given = -pair_solve.present_target(solver, i, j, c, accumulated)  # m/s, that the island's own balls do not change
     if solver.model.inverse_mass[i] == 0.0:
         given -= ball[i].v.dot(solver.pairs.contact[c].normal)

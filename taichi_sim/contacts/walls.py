@@ -342,26 +342,20 @@ class Walls(Surfaces):
     def _further_impulse(self, solver: ti.template(), i, k, v, spin, gain, time):
         """Further impulse on ball i, at the velocity v and this spin, by its contact k: `gain` times what reaches its target."""
         c, n = i * self.count + k, self.normal(i, k)
-        contact = self.contact[c]
         mass = 1.0 / self.model.inverse_mass[i]
         if ti.static(solver.split):
             mass = 1.0 / solver.effective_inverse_mass[i]
         elif ti.static(not (solver.in_turn or solver.sums_plainly)):
             mass /= self.mass_parts[i]
         u = self.relative(v, i, k)
-        slip, tangential, tangential_mass = u, zero_scalar_in_2d(self.model.dim), mass
-        if ti.static(self.model.has_friction):
-            tangential = contact.tangential_impulse
-            if ti.static(solver.model.spins):
-                slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
-                tangential_mass *= self.model.sideways(i)
-        p, now, tangential_now = contact_law.further_impulse(
-            self.model, self.law(i, k), n, u, slip, contact.target, gain * mass, tangential_mass, contact.impulse,
-            tangential, self.threshold[0], time,
-        )  # fmt: skip
-        self.contact[c].impulse = now
-        if ti.static(self.model.has_friction):
-            self.contact[c].tangential_impulse = tangential_now
+        slip, tangential_mass = u, mass
+        if ti.static(solver.model.spins):
+            slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
+            tangential_mass *= self.model.sideways(i)
+        law, threshold = self.law(i, k), self.threshold[0]
+        p = contact_law.further_impulse(
+            self.model, self.contact, c, law, n, u, slip, gain * mass, tangential_mass, threshold, time
+        )
         if ti.static(self.probed):
             self.record(i, k, p)
         return p
