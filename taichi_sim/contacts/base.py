@@ -106,7 +106,7 @@ class ContactRule(FoundContacts):
         Call it before and after an iteration that takes back (LAST, RELAX): that leaves other impulses in the pairs, but moves
         nothing. The next solve, which starts from them, then needs no measuring.
         """
-        if ti.static(self.plan.warm_starts):
+        if ti.static(self.plan.pairs and self.plan.warm_starts):
             self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
             if ti.static(self.model.spins):
                 self.warm_spin[i] = self.state.spin[i] - self.warm_spin[i]
