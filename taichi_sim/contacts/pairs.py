@@ -49,9 +49,8 @@ class Pairs:
         self.has_rebounds = model.has_restitution and not plan.impacts_in_turn
         self.has_target = self.has_rebounds or (plan.soft and not plan.impacts_in_turn)
         vector = ti.types.vector(model.dim, fields.real)
-        columns = {"other": ti.i32, "impulse": fields.real}  # the ball that does not list it; N s
-        if model.has_friction:
-            columns["tangential_impulse"] = fields.tangential(model.dim)  # N s
+        # other: the ball that does not list it
+        columns = {"other": ti.i32, **fields.impulses(model.dim, model.has_friction)}
         if plan.soft:
             columns["bias_velocity"] = fields.real  # m/s, with which overlap is pushed out, or RIGID
         if self.has_rebounds:

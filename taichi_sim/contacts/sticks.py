@@ -37,11 +37,7 @@ class Sticks(WeightedContacts):
         self.capacity = max(capacity, usual)
         before = fields.bytes
         real, vector = fields.real, ti.types.vector(model.dim, fields.real)
-        # impulse: along the normal [N s]; tangential_impulse [N s]
-        accumulated = {
-            "impulse": real,
-            **({"tangential_impulse": fields.tangential(model.dim)} if model.has_friction else {}),
-        }
+        accumulated = fields.impulses(model.dim, model.has_friction)
         # starting_impulse: before the solve [N s]; gained_speed: of approach since it was last seen, last_speed: of then [m/s]
         seen = dict.fromkeys(("starting_impulse", "gained_speed", "last_speed"), real) if self.warm_starts else {}
         # normal: from stick to ball; at: part of the stick at which it touches; distance [m]

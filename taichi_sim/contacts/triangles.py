@@ -106,11 +106,10 @@ class TriangleContacts(WeightedContacts):
         columns = dict.fromkeys(("owner", "place", "first", "second"), ti.i32)
         self.candidate = fields.table(columns, self.candidate_capacity)
         # distance [m]; thickness: distance at touch [m], with a minus: may not be gone through, but does not push; target [m/s];
-        # impulse [N s]; planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
-        lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
+        # planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
+        lengths = ("distance", "thickness", "target", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
-        if model.has_friction:
-            columns["tangential_impulse"] = vector  # N s
+        columns |= fields.impulses(model.dim, model.has_friction)
         self.contact = fields.table({**columns, **dict.fromkeys(lengths, fields.real)}, self.capacity)
         self.applied_impulse = fields.vectors(self.capacity, 3)  # N s
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)

@@ -42,10 +42,8 @@ class Walls(Surfaces):
         super().__init__(model, fields, colliders, plan.limits_energy or plan.bends)
         self.state, self.plan, self.threshold = state, plan, threshold
         self.names = ("walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else []))
-        # impulse: along the normal [N s]; target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
-        columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
-        if model.has_friction:
-            columns["tangential_impulse"] = fields.tangential(model.dim)  # N s
+        # target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
+        columns = {**fields.impulses(model.dim, model.has_friction), "target": fields.real, "role": ti.i32}
         if plan.keeps_loads:
             columns["load"] = fields.real  # N s, the part of the impulse that is no impact's, as far as it is known
         if plan.walls_in_turn:  # [N s] before the solve, and before the last iteration
