@@ -161,7 +161,7 @@ def store_links(pairs: ti.template(), i):
     for t in range(pairs.touching[i]):
         c = pair_entry(pairs, pairs.first[i], t)
         link = pairs.link[c]
-        for own, place in ti.static(pairs.kept):
+        for own, place in ti.static(pairs.kept()):
             place[c] = own[c]
         if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
             pairs.contact[c].mass = ti.bit_cast(link.other + BITS_OF_ONE, ti.f32)
@@ -199,7 +199,7 @@ def recall(pairs: ti.template(), i, j, at):
         for t in range(pairs.old_held[one]):
             c = pair_entry(pairs, begin, t)
             if stored_other(pairs, c) == two:
-                for own, place in ti.static(pairs.kept):
+                for own, place in ti.static(pairs.kept()):
                     own[at] = place[c]
                 if ti.static(pairs.model.has_friction):
                     normal = pairs.contact[c].normal

@@ -1,5 +1,7 @@
 """Pairs: contacts between balls, found through the grid and kept, each once, in lists for all iterations of a step."""
 
+from typing import Any
+
 import numpy as np
 
 from taichi_sim.contacts.grid import Grid
@@ -82,18 +84,8 @@ class Pairs:
         self.bytes_each = (fields.bytes - before) / self.capacity
         # of the list of each ball: first link, number of links, of these that touch
         self.first, self.number, self.touching = (fields.integers(model.n) for _ in range(3))
-        if plan.warm_starts:
-            # as they were before the last search
+        if plan.warm_starts:  # as they were before the last search
             self.old_first, self.old_held = fields.integers(model.n), fields.integers(model.n)
-            # members of `link`, and those of `contact` that hold them while lists are made anew
-            own, place = self.link, self.contact
-            self.kept = [(own.impulse, place.depth)]
-            if plan.soft:
-                self.kept.append((own.bias_velocity, place.target if self.has_target else place.starting_impulse))
-            if plan.keeps_loads:
-                self.kept.append((own.load, place.starting_impulse))
-            if self.has_rebounds:
-                self.kept.append((own.rebound_speed, place.rebound_speed))
         kinds = np.unique(scene.material)
         self.only_law = int(kinds[0]) * (model.surfaces + 1) if len(kinds) == 1 else -1  # of balls of one material
         self.has_bodies = bool(np.any(scene.body > 0))
@@ -103,6 +95,18 @@ class Pairs:
         self.has_joined = len(other) > 0
         if self.has_joined:
             self.joined_start, self.joined_other = fields.integers(start), fields.integers(other)
+
+    def kept(self) -> list[tuple[Any, Any]]:
+        """Members of `link`, and those of `contact` that hold them while lists are made anew."""
+        own, place = self.link, self.contact
+        members = [(own.impulse, place.depth)]
+        if self.plan.soft:
+            members.append((own.bias_velocity, place.target if self.has_target else place.starting_impulse))
+        if self.plan.keeps_loads:
+            members.append((own.load, place.starting_impulse))
+        if self.has_rebounds:
+            members.append((own.rebound_speed, place.rebound_speed))
+        return members
 
     def forget(self) -> None:
         """Clear what contacts have accumulated, from the next search on."""
