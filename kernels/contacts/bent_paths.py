@@ -75,8 +75,9 @@ def next_change(solver: ti.template(), i, t):
 
 
 @ti.func
-def length(solver: ti.template(), i, displacement):
+def length(solver: ti.template(), i):
     """Length of the path of ball i [m], at most."""
+    displacement = solver.displacement[i]
     result = displacement.norm()
     if ti.static(solver.plan.bends):
         path = solver.walls.path[i]

@@ -10,7 +10,7 @@ run through by a third.
 from taichi_sim.kernels.contacts import bent_paths, touch_times
 from taichi_sim.kernels.contacts.pairs import may_touch
 from taichi_sim.kernels.contacts.parabola import crossing
-from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, largest, run, same_row
+from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, run, same_row
 from taichi_sim.kernels.contacts.sticks import closest
 from taichi_sim.kernels.contacts.sticks import may_touch as may_touch_stick
 from taichi_sim.kernels.loops import each
@@ -103,7 +103,7 @@ def note_displacement(solver: ti.template(), i, shift):
     solver.displacement[i] = shift
     if ti.static(solver.plan.gathers):
         begin_path(solver, i)
-    way = bent_paths.length(solver, i, shift)
+    way = bent_paths.length(solver, i)
     fast = solver.model.radius[i] ** 2
     if ti.static(solver.plan.sticks):  # they are thin: what counts is the ball that one may cross
         fast = ti.min(fast, solver.crossing_squared[0])
@@ -136,7 +136,7 @@ def first_touch(solver: ti.template(), grid: ti.template(), ball: ti.template(),
     for level in range(grid.levels):
         x = start(solver, ball, i)
         # others lie in the grid where they were when it was made: since then they moved by the skin and this step
-        margin = solver.model.radius[i] + (2.0 + grid.enlarged) * largest(grid, level) + solver.longest_displacement[0]
+        margin = solver.model.radius[i] + (2.0 + grid.enlarged) * grid.largest[level] + solver.longest_displacement[0]
         lowest, highest = bent_paths.box(solver, i, x, ball[i].x)
         low = cell_of(lowest - margin, grid, level)
         high = cell_of(highest + margin, grid, level)
@@ -178,7 +178,7 @@ def time_of_touch(solver: ti.template(), ball: ti.template(), i, j):
         while t < end:
             r = path(solver, ball, j, t) - path(solver, ball, i, t)
             if bent_paths.is_unknown(solver, i, t):
-                around = bent_paths.beyond(solver, i) + path_length(solver, j)
+                around = bent_paths.beyond(solver, i) + bent_paths.length(solver, j)
                 touch = ti.select(r.norm() < distance + around, t, touch)
                 end = t
             else:
@@ -190,12 +190,6 @@ def time_of_touch(solver: ti.template(), ball: ti.template(), i, j):
                     touch, end = later, later
                 t = until
     return touch
-
-
-@ti.func
-def path_length(solver: ti.template(), i):
-    """Length of the path of ball i [m], at most."""
-    return bent_paths.length(solver, i, solver.displacement[i])
 
 
 @ti.func
@@ -224,14 +218,14 @@ def meeting(r, d, distance, end):
 def sweep_stick(s, solver: ti.template(), ball: ti.template()):
     """Stop stick s and the balls that would cross each other before they do."""
     one, two = solver.sticks.one[s], solver.sticks.two[s]
-    moved = ti.max(path_length(solver, one), path_length(solver, two))
+    moved = ti.max(bent_paths.length(solver, one), bent_paths.length(solver, two))
     # the box around the stick's way
     low, high = bent_paths.box(solver, one, start(solver, ball, one), ball[one].x)
     low_two, high_two = bent_paths.box(solver, two, start(solver, ball, two), ball[two].x)
     low, high = ti.min(low, low_two), ti.max(high, high_two)
     for i in range(solver.n):
         r = solver.model.radius[i]
-        near = moved + path_length(solver, i) > 0.5 * r
+        near = moved + bent_paths.length(solver, i) > 0.5 * r
         lowest, highest = bent_paths.box(solver, i, start(solver, ball, i), ball[i].x)
         for a in ti.static(range(solver.model.dim)):
             near = near and highest[a] > low[a] - r and lowest[a] < high[a] + r

@@ -63,25 +63,31 @@ def normal_impulse(u, target, mass, accumulated):
 
 
 @ti.func
-def further_impulse(model: ti.template(), law, n, u, slip, target, mass, tangential_mass, impulse, tangential, threshold,
+def further_impulse(model: ti.template(), table: ti.template(), c, law, n, u, slip, mass, tangential_mass, threshold,
                     time):  # fmt: skip
-    """Further impulse [N s] of a rigid contact, a row of the solve, and its new accumulated parts: along the normal n, and the
-    Coulomb part. u, slip [m/s]: relative velocity sum g_i v_i, and of the surfaces, which spin; mass, tangential_mass [kg]: what
-    its balls oppose to an impulse along n, and along the surfaces. Viscous friction acts for `time` seconds."""
-    total = normal_impulse(u.dot(n), target, mass, impulse)
-    p = (total - impulse) * n
+    """Further impulse [N s] of contact c of a table, a rigid one, a row of the solve; notes what it has accumulated then. n:
+    normal; u, slip [m/s]: relative velocity sum g_i v_i, and of the surfaces, which spin; mass, tangential_mass [kg]: what its
+    balls oppose to an impulse along n, and along the surfaces. Viscous friction acts for `time` seconds."""
+    before = table[c].impulse
+    total = normal_impulse(u.dot(n), table[c].target, mass, before)
+    p = (total - before) * n
+    table[c].impulse = total
     if ti.static(model.has_friction):
-        change, tangential = friction(model, law, n, u, slip, total, mass, tangential_mass, tangential, threshold, time)
-        p += change
-    return p, total, tangential
+        p += friction(model, table, c, law, n, u, slip, total, mass, tangential_mass, threshold, time)
+    return p
 
 
 @ti.func
-def friction(model: ti.template(), law, n, u, slip, total, mass, tangential_mass, tangential, threshold, time):
-    """Impulse [N s] of friction of a contact that has come to press with `total` [N s], and its new Coulomb part, a scalar along
-    the normal turned by 90 degrees in 2D. For the others see `further_impulse`."""
-    viscous = viscous_share(model, law, total, mass, threshold, u, time)
-    return tangential_impulse(model, slip, n, tangential_mass, tangential, law.friction * ti.max(0.0, total), viscous)
+def friction(
+    model: ti.template(), table: ti.template(), c, law, n, u, slip, total, mass, tangential_mass, threshold, time
+):
+    """Impulse [N s] of friction of contact c of a table that has come to press with `total` [N s]; notes its new Coulomb part, a
+    scalar along the normal turned by 90 degrees in 2D. For the others see `further_impulse`."""
+    viscous, bound = viscous_share(model, law, total, mass, threshold, u, time), law.friction * ti.max(0.0, total)
+    accumulated = table[c].tangential_impulse
+    p, tangential = tangential_impulse(model, slip, n, tangential_mass, accumulated, bound, viscous)
+    table[c].tangential_impulse = tangential
+    return p
 
 
 @ti.func
@@ -116,11 +122,13 @@ def closing_speed(u, from_forces):
 def impact_impulse(model: ti.template(), law, n, u, forced, slip, mass, tangential_mass, threshold, time):
     """Impulse [N s] of an impact, of whose approach speed forces gave `forced` [m/s], see `rebound`: a row that has accumulated
     nothing and comes to the speed that is thrown back. For the others see `further_impulse`."""
-    before, none = u.dot(n), zero_scalar_in_2d(u.n)
-    target = before + rebound(law.restitution, before, forced)
-    p, _total, _tangential = further_impulse(
-        model, law, n, u, slip, target, mass, tangential_mass, 0.0 * mass, none, threshold, time
-    )
+    before = u.dot(n)
+    total = normal_impulse(before, before + rebound(law.restitution, before, forced), mass, 0.0 * mass)
+    p = total * n
+    if ti.static(model.has_friction):
+        viscous, none = viscous_share(model, law, total, mass, threshold, u, time), zero_scalar_in_2d(u.n)
+        change, _ = tangential_impulse(model, slip, n, tangential_mass, none, law.friction * total, viscous)
+        p += change
     return p
 
 

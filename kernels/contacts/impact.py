@@ -168,28 +168,21 @@ def pressing_speed(walls: ti.template(), i, k, n, v):
 
 
 @ti.func
-def press(walls: ti.template(), i, v, a):
-    """Velocity and acceleration of ball i without the parts that press it into walls on which it rests.
+def press(walls: ti.template(), i, v, a, records: ti.template()):
+    """Velocity and acceleration of ball i without the parts that press it into walls on which it rests. records: for probes,
+    where it met something and does not get back what is taken of its velocity.
 
-    Those are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
+    Those parts are the contact solve's to undo, friction with them; the path only must not enter the wall meanwhile.
     """
-    for k in range(walls.looked_at(i)):
-        if walls.contact[i * walls.count + k].role == RESTING:
-            n = walls.normal(i, k)
-            v -= pressing_speed(walls, i, k, n, v) * n
-            a -= ti.min(0.0, n.dot(a)) * n
-    return v, a
-
-
-@ti.func
-def record_pressed(walls: ti.template(), i, v):
-    """Record for probes what `press` took of the velocity of ball i, which does not get it back where it met something."""
     for k in range(walls.looked_at(i)):
         if walls.contact[i * walls.count + k].role == RESTING:
             n = walls.normal(i, k)
             change = -pressing_speed(walls, i, k, n, v) * n
             v += change
-            walls.record(i, k, change / walls.model.inverse_mass[i])
+            a -= ti.min(0.0, n.dot(a)) * n
+            if ti.static(records):
+                walls.record(i, k, change / walls.model.inverse_mass[i])
+    return v, a
 
 
 @ti.func
@@ -235,7 +228,7 @@ def move(walls: ti.template(), i, x, v, a, h, threshold):
 @ti.func
 def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     """`move` of a ball that may meet something."""
-    along, pressed = press(walls, i, v, a)
+    along, pressed = press(walls, i, v, a, False)
     pull = pressed
     remaining = h
     speed = along - 0.5 * h * pull
@@ -334,7 +327,7 @@ def move_with_impacts(walls: ti.template(), i, x, v, a, h, threshold):
     drift = v
     if touched:
         if ti.static(walls.probed):
-            record_pressed(walls, i, v)
+            press(walls, i, v, a, True)
             # what it met last bears what forces do once it has met as much as it may
             walls.received.add(i, body, -remaining / walls.model.inverse_mass[i] * pull)
         kick = 0.5 * h * pressed  # the second half

@@ -38,34 +38,25 @@ def settle_blocks(solver: ti.template(), ball: ti.template()):
     """Iterations, each over the contacts of the balls that the one before still changed fast."""
     for b in range(solver.pairs.blocks[0]):
         solver.block_is_active[b] = solver.block_was_struck[b]
-    pair_impacts.repeat_until_calm(solver, ball, iterate_block, PARALLEL_ITERATIONS, LIKE_ITERATIONS, 0.0)
+    rounds = ti.static(pair_impacts.IMPACT_ROUNDS)
+    pair_impacts.repeat_until_calm(solver, ball, iterate_ball, rounds, PARALLEL_ITERATIONS, LIKE_ITERATIONS, 0.0)
 
 
 @ti.func
-def iterate_block(b, solver: ti.template(), ball: ti.template(), now, time):
-    """Iteration `now` of the contacts of block b, if it or one beside it is marked; notes whether it changed anything fast."""
-    from_, to = now % 2 * solver.block_limit, (now + 1) % 2 * solver.block_limit
-    first = ti.select(now == 0, 0, pair_impacts.IMPACT_ROUNDS + now)  # so that rounds and iterations count on
+def iterate_ball(solver: ti.template(), ball: ti.template(), i, now, time):
+    """Iteration `now` of the contacts that ball i lists, and its walls; returns 1 if it changed anything fast."""
     busy = 0
-    if pair_impacts.is_marked_near(solver, solver.block_is_active, from_, b):
-        begin = b * solver.pairs.block_length[0]
-        for k in range(begin, ti.min(begin + solver.pairs.block_length[0], solver.n)):
-            i = solver.pairs.grid.order[k]
-            if solver.disturbed[i] >= first:
-                for t in range(solver.pairs.touching[i]):
-                    if pair_solve.solve_in_turn(solver, ball, i, t, t + 1, time, pair_solve.NEXT) > solver.threshold[0]:
-                        busy = 1
-                        disturb(solver, i, now)
-                        disturb(solver, solver.pairs.link[solver.pairs.first[i] + t].other, now)
-                if ti.static(solver.plan.walls):
-                    p, t = solver.walls.gather(ball, solver, i, time)
-                    solver.apply(i, p, t)
-                    if solver.model.inverse_mass[i] * p.norm() > solver.threshold[0]:
-                        busy = 1
-                        disturb(solver, i, now)
-    solver.block_is_active[to + b] = busy
-    if busy > 0:
-        solver.block_was_struck[b] = 1
+    for t in range(solver.pairs.touching[i]):
+        if pair_solve.solve_in_turn(solver, ball, i, t, t + 1, time, pair_solve.NEXT) > solver.threshold[0]:
+            busy = 1
+            disturb(solver, i, now)
+            disturb(solver, solver.pairs.link[solver.pairs.first[i] + t].other, now)
+    if ti.static(solver.plan.walls):
+        p, t = solver.walls.gather(ball, solver, i, time)
+        solver.apply(i, p, t)
+        if solver.model.inverse_mass[i] * p.norm() > solver.threshold[0]:
+            busy = 1
+            disturb(solver, i, now)
     return busy
 
 
@@ -113,21 +104,17 @@ def is_near(solver: ti.template(), b):
 
 
 @ti.func
-def end_of(solver: ti.template(), b):
-    """End of block b's range of places in the order of iterations; its beginning (an empty range) if the block is passed
-    over."""
-    begin = b * solver.pairs.block_length[0]
-    return ti.select(is_near(solver, b), ti.min(begin + solver.pairs.block_length[0], solver.n), begin)
+def is_taken(solver: ti.template(), b, now):
+    """True if iteration `now` takes block b: it or one beside it is active, and one of these was struck."""
+    active = pair_impacts.is_marked_near(solver, solver.block_is_active, now % 2 * solver.block_limit, b)
+    return active and is_near(solver, b)
 
 
 @ti.func
-def end_in(solver: ti.template(), b, now):
-    """End of block b's range of places in iteration `now`; its beginning (an empty range) if neither it nor a block beside it
-    is active."""
-    end = b * solver.pairs.block_length[0]
-    if pair_impacts.is_marked_near(solver, solver.block_is_active, now % 2 * solver.block_limit, b):
-        end = end_of(solver, b)
-    return end
+def end_of(solver: ti.template(), b, taken):
+    """End of block b's range of places in the order of iterations; its beginning (an empty range) if it is not `taken`."""
+    begin = b * solver.pairs.block_length[0]
+    return ti.select(taken, ti.min(begin + solver.pairs.block_length[0], solver.n), begin)
 
 
 @ti.func
@@ -135,7 +122,7 @@ def iterate_islands(solver: ti.template(), ball: ti.template(), now):
     """Iteration `now`, in turn; notes which balls it took, what it changed, and where that was fast."""
     for b in range(solver.pairs.blocks[0]):
         busy = 0
-        for k in range(b * solver.pairs.block_length[0], end_in(solver, b, now)):
+        for k in range(b * solver.pairs.block_length[0], end_of(solver, b, is_taken(solver, b, now))):
             i = solver.pairs.grid.order[k]
             if is_struck(solver, i) and (now == 0 or solver.disturbed[i] >= pair_impacts.IMPACT_ROUNDS + now):
                 solver.last_iteration[i] = now
@@ -193,27 +180,18 @@ def root_of(solver: ti.template(), i):
 
 
 @ti.func
-def reach_of(solver: ti.template(), b):
-    """End of block b's range of balls; its beginning (an empty range) if no block that is iterated lists any of its balls."""
-    begin = b * solver.pairs.block_length[0]
-    listed = is_near(solver, b)
-    if b > 0:
-        listed = listed or is_near(solver, b - 1)
-    return ti.select(listed, ti.min(begin + solver.pairs.block_length[0], solver.n), begin)
-
-
-@ti.func
 def find_islands(solver: ti.template()):
     """Give the same root to balls of the struck blocks that touch, directly or through loose others."""
     for b in range(solver.pairs.blocks[0]):
-        for k in range(b * solver.pairs.block_length[0], reach_of(solver, b)):
+        listed = is_near(solver, b) or is_near(solver, ti.max(0, b - 1))  # blocks list balls of the next one
+        for k in range(b * solver.pairs.block_length[0], end_of(solver, b, listed)):
             i = solver.pairs.grid.order[k]
             solver.island[i] = i
             solver.island_was_struck[i] = 0
             solver.last_iteration[i], solver.last_extension[i], solver.island_iteration[i] = -1, -1, -1
             solver.velocity_change[i] = ti.Vector.zero(float, solver.model.dim)
     for b in range(solver.pairs.blocks[0]):
-        for k in range(b * solver.pairs.block_length[0], end_of(solver, b)):
+        for k in range(b * solver.pairs.block_length[0], end_of(solver, b, is_near(solver, b))):
             i = solver.pairs.grid.order[k]
             for c in range(solver.pairs.first[i], solver.pairs.first[i] + solver.pairs.touching[i]):
                 j = solver.pairs.link[c].other
@@ -221,7 +199,7 @@ def find_islands(solver: ti.template()):
                     one, two = root_of(solver, i), root_of(solver, j)
                     solver.island[ti.max(one, two)] = ti.min(one, two)
     for b in range(solver.pairs.blocks[0]):
-        for k in range(b * solver.pairs.block_length[0], end_of(solver, b)):
+        for k in range(b * solver.pairs.block_length[0], end_of(solver, b, is_near(solver, b))):
             i = solver.pairs.grid.order[k]
             if solver.disturbed[i] != pair_impacts.UNDISTURBED:
                 solver.island_was_struck[root_of(solver, i)] = 1
@@ -234,11 +212,11 @@ def extend(solver: ti.template(), ball: ti.template(), now):
     """Each island goes on along the normal impulses of iteration `now`, to the least of what iterations lessen. What that changes
     fast is looked at again."""
     for b in range(solver.pairs.blocks[0]):
-        for k in range(b * solver.pairs.block_length[0], end_in(solver, b, now)):
+        for k in range(b * solver.pairs.block_length[0], end_of(solver, b, is_taken(solver, b, now))):
             visit_taken(solver, ball, solver.pairs.grid.order[k], now, add_to_parabola)
     for b in range(solver.pairs.blocks[0]):
         busy = 0
-        for k in range(b * solver.pairs.block_length[0], end_in(solver, b, now)):
+        for k in range(b * solver.pairs.block_length[0], end_of(solver, b, is_taken(solver, b, now))):
             i = solver.pairs.grid.order[k]
             busy |= visit_taken(solver, ball, i, now, change_again)
             if solver.last_iteration[i] == now:
@@ -304,12 +282,11 @@ def add_change(solver: ti.template(), ball: ti.template(), i, j, c, r):
     """Add to the sums of the island of root r what an iteration changed by the normal impulse of contact c of balls i and j,
     and limit how far this may go on."""
     accumulated = solver.pairs.link[c].impulse
-    change = last_change(solver.pairs.contact, c, accumulated)
+    change, longest = last_change(solver.pairs.contact, c, accumulated, solver.longest_extension[r])
+    solver.longest_extension[r] = longest
     p = change * solver.pairs.contact[c].normal
     solver.velocity_change[i] = solver.velocity_change[i] - solver.model.inverse_mass[i] * p
     solver.velocity_change[j] = solver.velocity_change[j] + solver.model.inverse_mass[j] * p
-    if change < 0.0:
-        solver.longest_extension[r] = ti.min(solver.longest_extension[r], accumulated / -change)
     given = -pair_solve.present_target(solver, i, j, c, accumulated)  # m/s, that the island's own balls do not change
     if solver.model.inverse_mass[i] == 0.0:
         given -= ball[i].v.dot(solver.pairs.contact[c].normal)

@@ -9,14 +9,16 @@ SPENT_CONTACT = 4.0  # times its last change: a contact that holds less is about
 
 
 @ti.func
-def last_change(iterated: ti.template(), c, impulse):
-    """Change of the normal impulse of a contact, now `impulse` [N s], by the last iteration. A contact that is about to let go
-    stays out, lest it stops the others."""
+def last_change(iterated: ti.template(), c, impulse, longest):
+    """Change of the normal impulse of a contact, now `impulse` [N s], by the last iteration, and how many times it may be made
+    again, at most `longest`, before the contact pulls. One that is about to let go stays out, lest it stops the others."""
     change = impulse - iterated[c].previous_impulse
     if impulse < -SPENT_CONTACT * change:
         iterated[c].previous_impulse = impulse
         change = 0.0
-    return change
+    if change < 0.0:
+        longest = ti.min(longest, impulse / -change)
+    return change, longest
 
 
 @ti.func

@@ -71,17 +71,17 @@ def note_velocity_from_forces(solver: ti.template(), ball: ti.template()):
 @ti.func
 def all_rounds(solver: ti.template(), ball: ti.template(), time):
     """Impacts until nothing closes fast that bounces."""
-    repeat_until_calm(solver, ball, impacts_of_block, PARALLEL_IMPACT_ROUNDS, IMPACT_ROUNDS, time)
+    repeat_until_calm(solver, ball, impacts_of_ball, 0, PARALLEL_IMPACT_ROUNDS, IMPACT_ROUNDS, time)
 
 
 @ti.func
-def repeat_until_calm(solver: ti.template(), ball: ti.template(), visit: ti.template(), parallel: ti.template(),
-                      most: ti.template(), time):  # fmt: skip
-    """visit(b, solver, ball, now, time) for each block b in the rounds `now`, until it has returned 0 for all or `most` are done:
-    the first `parallel` ones on all threads, where there are several."""
+def repeat_until_calm(solver: ti.template(), ball: ti.template(), visit: ti.template(), before: ti.template(),
+                      parallel: ti.template(), most: ti.template(), time):  # fmt: skip
+    """Rounds of all blocks, see `round_of_block`, until visit has returned 0 for all balls or `most` are done: the first
+    `parallel` ones on all threads, where there are several. before: rounds of others, from which `disturbed` counts on."""
     if ti.static(not solver.plan.serial):
         for now in ti.static(range(parallel)):
-            even_then_odd(solver.pairs.blocks[0], visit, (solver, ball, now, time))
+            even_then_odd(solver.pairs.blocks[0], round_of_block, (solver, ball, visit, before, now, time))
     ti.loop_config(serialize=True)
     for _ in range(1):
         first = ti.static(0 if solver.plan.serial else parallel)
@@ -90,7 +90,7 @@ def repeat_until_calm(solver: ti.template(), ball: ti.template(), visit: ti.temp
             going = False
             for parity in range(2):
                 for g in range((solver.pairs.blocks[0] + 1 - parity) // 2):
-                    if visit(2 * g + parity, solver, ball, now, time) > 0:
+                    if round_of_block(2 * g + parity, solver, ball, visit, before, now, time) > 0:
                         going = True
             now += 1
 
@@ -107,21 +107,24 @@ def is_marked_near(solver: ti.template(), flags: ti.template(), first, b):
 
 
 @ti.func
-def impacts_of_block(b, solver: ti.template(), ball: ti.template(), now, time):
-    """Round `now` of the balls of block b, if it or one beside it is marked; notes whether anything bounced. Viscous friction
-    acts in the first, for `time` seconds."""
+def round_of_block(
+    b, solver: ti.template(), ball: ti.template(), visit: ti.template(), before: ti.template(), now, time
+):
+    """visit(solver, ball, i, now, time) in round `now` for the balls of block b that are disturbed, if it or one beside it is
+    marked; notes whether it returned 1 for any. Viscous friction acts in the first, for `time` seconds."""
     from_, to = now % 2 * solver.block_limit, (now + 1) % 2 * solver.block_limit
-    bounced = 0
+    first = ti.select(now == 0, 0, before + now)
+    found = 0
     if is_marked_near(solver, solver.block_is_active, from_, b):
         begin = b * solver.pairs.block_length[0]
         for k in range(begin, ti.min(begin + solver.pairs.block_length[0], solver.n)):
             i = solver.pairs.grid.order[k]
-            if solver.disturbed[i] >= now:
-                bounced |= impacts_of_ball(solver, ball, i, now, ti.select(now == 0, time, 0.0))
-    solver.block_is_active[to + b] = bounced
-    if bounced > 0:
+            if solver.disturbed[i] >= first:
+                found |= visit(solver, ball, i, now, ti.select(now == 0, time, 0.0))
+    solver.block_is_active[to + b] = found
+    if found > 0:
         solver.block_was_struck[b] = 1
-    return bounced
+    return found
 
 
 @ti.func

@@ -61,11 +61,12 @@ def balls_of_block(solver: ti.template(), ball: ti.template(), b, begin, end, ti
 
 
 @ti.func
-def own_pairs(solver: ti.template(), ball: ti.template(), i, time, visit: ti.template()):
-    """visit(ball, i, j, c) for each pair c of ball i that touches or nearly does: i solves it, j is the other ball."""
+def own_pairs(solver: ti.template(), ball: ti.template(), i, time, task: ti.template()):
+    """visit(ball, i, j, c, *arguments) for each pair c of ball i that touches or nearly does: i solves it, j is the other ball.
+    task: visit and arguments."""
     for t in range(solver.pairs.touching[i]):
         c = pair_entry(solver.pairs, solver.pairs.first[i], t)
-        visit(ball, i, solver.pairs.link[c].other, c)
+        task[0](ball, i, solver.pairs.link[c].other, c, *task[1])
 
 
 @ti.func

@@ -7,7 +7,7 @@ blocks that are longer than any pair reaches: see pair_sweeps. Where each ball g
 from taichi_sim.kernels.contacts import contact_law, warm_start
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.pair_lists import pair_entry
-from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, largest, level_of, run, same_row
+from taichi_sim.kernels.contacts.spatial_hash import bucket_of, cell_of, clip, level_of, run, same_row
 
 from taichi_sim.device.engine import ti
 
@@ -63,7 +63,7 @@ def nearby(pairs: ti.template(), own, at, free):
 def scan(pairs: ti.template(), own, a, mine, level, at, found, free, dense: ti.template()):
     """`nearby` in one level, for one of the two ways to place rows in its table. Side by side, rows before the own one hold
     none after."""
-    span = (a.radius + largest(pairs.grid, level)) * pairs.grid.enlarged * pairs.grid.margin
+    span = (a.radius + pairs.grid.largest[level]) * pairs.grid.enlarged * pairs.grid.margin
     low = cell_of(a.x - span, pairs.grid, level)
     high = cell_of(a.x + span, pairs.grid, level)
     here = low
@@ -161,19 +161,12 @@ def store_links(pairs: ti.template(), i):
     for t in range(pairs.touching[i]):
         c = pair_entry(pairs, pairs.first[i], t)
         link = pairs.link[c]
-        pairs.contact[c].depth = link.impulse
+        for own, place in ti.static(pairs.kept()):
+            place[c] = own[c]
         if ti.static(pairs.single_precision):  # as a normal number: others might be flushed to 0
             pairs.contact[c].mass = ti.bit_cast(link.other + BITS_OF_ONE, ti.f32)
         else:
             pairs.contact[c].mass = ti.cast(link.other, float)
-        if ti.static(pairs.plan.soft and pairs.has_target):
-            pairs.contact[c].target = link.bias_velocity
-        elif ti.static(pairs.plan.soft):
-            pairs.contact[c].starting_impulse = link.bias_velocity
-        if ti.static(pairs.plan.keeps_loads):
-            pairs.contact[c].starting_impulse = link.load
-        if ti.static(pairs.has_rebounds):
-            pairs.contact[c].rebound_speed = link.rebound_speed
         if ti.static(pairs.model.has_friction):
             if ti.static(pairs.model.dim == 2):
                 pairs.contact[c].normal[0] = link.tangential_impulse
@@ -206,22 +199,15 @@ def recall(pairs: ti.template(), i, j, at):
         for t in range(pairs.old_held[one]):
             c = pair_entry(pairs, begin, t)
             if stored_other(pairs, c) == two:
-                old = pairs.contact[c]
-                pairs.link[at].impulse = old.depth
-                if ti.static(pairs.plan.soft and pairs.has_target):
-                    pairs.link[at].bias_velocity = old.target
-                elif ti.static(pairs.plan.soft):
-                    pairs.link[at].bias_velocity = old.starting_impulse
-                if ti.static(pairs.plan.keeps_loads):
-                    pairs.link[at].load = old.starting_impulse
-                if ti.static(pairs.has_rebounds):
-                    pairs.link[at].rebound_speed = old.rebound_speed
+                for own, place in ti.static(pairs.kept()):
+                    own[at] = place[c]
                 if ti.static(pairs.model.has_friction):
+                    normal = pairs.contact[c].normal
                     # a scalar along the normal turned by 90 degrees is the same seen from the other ball
                     if ti.static(pairs.model.dim == 2):
-                        pairs.link[at].tangential_impulse = old.normal[0]
+                        pairs.link[at].tangential_impulse = normal[0]
                     else:
-                        pairs.link[at].tangential_impulse = old.normal if ti.static(which == 0) else -old.normal
+                        pairs.link[at].tangential_impulse = normal if ti.static(which == 0) else -normal
 
 
 @ti.func

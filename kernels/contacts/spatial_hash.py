@@ -25,21 +25,9 @@ def level_of(radius, grid: ti.template()):
     """Level in which a ball of this radius lies."""
     level = 0
     for k in ti.static(range(1, grid.levels)):
-        if radius > grid.bound[k - 1]:
+        if radius > grid.largest[k - 1]:
             level = k
     return level
-
-
-@ti.func
-def inverse_cell(grid: ti.template(), level):
-    """1/m: one over the width of a level's cells across x."""
-    return grid.inverse_width[level]
-
-
-@ti.func
-def largest(grid: ti.template(), level):
-    """Largest radius in a level [m]."""
-    return grid.bound[level]
 
 
 @ti.func
@@ -54,7 +42,7 @@ def table(grid: ti.template(), level):
 @ti.func
 def cell_of(x, grid: ti.template(), level):
     """Integer cell of a position in a level."""
-    cell = x * inverse_cell(grid, level)
+    cell = x * grid.inverse_width[level]
     cell[0] *= FINE_CELLS
     for a in ti.static(range(cell.n)):  # what is not a number is not below the limit either
         cell[a] = ti.select(

@@ -64,15 +64,13 @@ def extend(sticks: ti.template(), solver: ti.template(), ball: ti.template(), s,
     slope, curvature, longest = 0.0 * a[0], 0.0 * a[0], FURTHEST_EXTENSION + 0.0 * a[0]
     for c in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):
         contact = sticks.contact[c]
-        change = last_change(sticks.contact, c, contact.impulse)
+        change, longest = last_change(sticks.contact, c, contact.impulse, longest)
         w, t = solver.effective_inverse_mass[contact.ball], contact.at
         u = relative_velocity(sticks, solver, ball, c, a, b)
         slope += change * (u.dot(contact.normal) - contact.target)
         curvature += w * change * change
         p += ((1.0 - t) * change) * contact.normal
         q += (t * change) * contact.normal
-        if change < 0.0:
-            longest = ti.min(longest, contact.impulse / -change)
     curvature += solver.effective_inverse_mass[one] * p.dot(p) + solver.effective_inverse_mass[two] * q.dot(q)
     times = best_extension(slope, curvature, longest)
     for c in range(sticks.begin[s], sticks.begin[s] + sticks.length[s]):

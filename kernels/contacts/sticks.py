@@ -8,8 +8,6 @@ from taichi_sim.kernels.contacts.spatial_hash import (
     bucket_of,
     cell_of,
     clip,
-    inverse_cell,
-    largest,
     run,
     same_row,
     table,
@@ -57,8 +55,8 @@ def slab(grid: ti.template(), level, a, d, axis, k):
 
     A slab is as thick as a cell across x; along x it holds FINE_CELLS cells.
     """
-    reach = largest(grid, level)
-    width = 1.0 / inverse_cell(grid, level)
+    reach = grid.largest[level]
+    width = 1.0 / grid.inverse_width[level]
     t0 = 0.0 * a[0]
     t1 = t0 + 1.0
     for c in ti.static(range(a.n)):
@@ -118,7 +116,7 @@ def traverse(sticks: ti.template(), ball: ti.template(), s, at, fill: ti.templat
     cells = ti.select(axis == 0, FINE_CELLS, 1)  # of a slab
     found = 0
     for level in range(sticks.grid.levels):
-        reach = largest(sticks.grid, level)
+        reach = sticks.grid.largest[level]
         from_cell = cell_of(ti.min(a, a + d) - reach, sticks.grid, level)
         to_cell = cell_of(ti.max(a, a + d) + reach, sticks.grid, level)
         if ti.static(sticks.grid.levels > 1):

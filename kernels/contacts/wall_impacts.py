@@ -96,12 +96,10 @@ def changed(walls: ti.template(), i):
     for k in range(walls.looked_at(i)):
         contact = walls.contact[i * walls.count + k]
         if walls.is_solved(i * walls.count + k):
-            change = last_change(walls.contact, i * walls.count + k, contact.impulse)
+            change, longest = last_change(walls.contact, i * walls.count + k, contact.impulse, longest)
             p += change * walls.normal(i, k)
             still = ti.Vector.zero(float, walls.model.dim)
             work += (contact.target - walls.relative(still, i, k).dot(walls.normal(i, k))) * change
-            if change < 0.0:
-                longest = ti.min(longest, contact.impulse / -change)
     return p, longest, work
 
 

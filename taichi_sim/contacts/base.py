@@ -106,7 +106,7 @@ class ContactRule(FoundContacts):
         Call it before and after an iteration that takes back (LAST, RELAX): that leaves other impulses in the pairs, but moves
         nothing. The next solve, which starts from them, then needs no measuring.
         """
-        if ti.static(self.plan.warm_starts):
+        if ti.static(self.plan.pairs and self.plan.warm_starts):
             self.warm_velocity[i] = ball[i].v - self.warm_velocity[i]
             if ti.static(self.model.spins):
                 self.warm_spin[i] = self.state.spin[i] - self.warm_spin[i]
@@ -143,7 +143,7 @@ class ContactRule(FoundContacts):
     def each_pair(self, ball: ti.template(), visit: ti.template()):
         """visit(ball, i, j, c) for each pair that touches or nearly does, in a fixed order but with contacts by atomics."""
         if ti.static(self.plan.pairs):
-            pair_sweeps.each_ball(self, ball, pair_sweeps.own_pairs, None, 0.0, visit)
+            pair_sweeps.each_ball(self, ball, pair_sweeps.own_pairs, None, 0.0, (visit, ()))
 
     @ti.func
     def exchange(self, i, j, p):
@@ -303,12 +303,13 @@ class ContactRule(FoundContacts):
                     d += part.correct_positions(ball, self, i, h)
                 self.position_correction[i] = d
                 if ti.static(in_one and of_pairs):
-                    pair_solve.correct_positions(self, ball, i, h, None)
+                    pair_sweeps.own_pairs(self, ball, i, h, (pair_solve.correct_position, (self, h)))
                 if ti.static(in_one):
                     self._correct_at_walls(ball, i, h, None)
             walls = ti.static(self._correct_at_walls if self.plan.walls and not in_one else None)
             if ti.static(of_pairs and not in_one):
-                pair_sweeps.each_ball(self, ball, pair_solve.correct_positions, walls, h, None)
+                correct = ti.static((pair_solve.correct_position, (self, h)))
+                pair_sweeps.each_ball(self, ball, pair_sweeps.own_pairs, walls, h, correct)
             elif ti.static(walls):
                 pair_sweeps.each_end(self, ball, walls, h, None)
 

@@ -156,7 +156,7 @@ class FoundContacts:
 
     def names(self) -> list[str]:
         """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return [f"contacts.{self.name}", *(name for part in self.parts for name in part.names())] if self.active else []
+        return [f"contacts.{self.name}", *(name for part in self.parts for name in part.names)] if self.active else []
 
     def forget(self) -> None:
         """Start from nothing: balls were put elsewhere, where the load is another one. `prime` has to follow."""
@@ -253,7 +253,7 @@ class FoundContacts:
                 if ti.static(not self.plan.neighbours):
                     if role == STEP:
                         ccd_triangles.cut_short(self.triangles, self, self.state.ball, i)
-                    self.pairs.grid.note_origin(self.state.ball, i)
+                    self.pairs.grid.origin[i] = self.state.ball[i].x
                 ccd_triangles.begin(self.triangles, self, self.state.ball, i)
 
     @ti.func

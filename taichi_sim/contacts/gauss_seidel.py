@@ -6,7 +6,6 @@ from taichi_sim.device.fields import Fields
 from taichi_sim.device.parts import STEP
 from taichi_sim.kernels.contacts import impact_iterations, pair_impacts, pair_solve, pair_sweeps, struck_pairs
 from taichi_sim.kernels.contacts.pairs import LIST_BLOCK
-from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["GaussSeidel"]
 
@@ -68,10 +67,9 @@ class GaussSeidel(IteratedRule):
     def iterate(self, ball: ti.template(), time, how: ti.template()):
         """Sticks and triangles from old velocities, then pairs in turn, then walls."""
         closes = ti.static(self.plan.pairs and self.plan.warm_starts and how.takes_back)
-        if ti.static(self.plan.sticks or self.plan.triangles):
-            if ti.static(how.starts):
-                for part in ti.static(self.sticks_and_triangles):
-                    part.solve_contacts(ball, self, time)
+        if ti.static((self.plan.sticks or self.plan.triangles) and how.starts):  # else all was applied before the move
+            for part in ti.static(self.sticks_and_triangles):
+                part.solve_contacts(ball, self, time)
             for i in range(self.n):
                 p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
                 self.apply(i, p, t)
@@ -83,12 +81,10 @@ class GaussSeidel(IteratedRule):
 
     @ti.func
     def _end_with_walls(self, ball: ti.template(), i, time, how: ti.template()):
-        p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
-        if ti.static(self.plan.walls):
-            p, t = self.walls.gather(ball, self, i, time)
-        if ti.static(self.plan.pairs and self.plan.warm_starts and how.takes_back):
+        if ti.static(how.takes_back):
             self.exclude_pairs(ball, i)
         if ti.static(self.plan.walls):
+            p, t = self.walls.gather(ball, self, i, time)
             self.apply(i, p, t)
 
     @ti.func

@@ -49,7 +49,7 @@ class Grid:
         self.levels = len(bounds)
         level = np.searchsorted(bounds, model.scene.radius)
         balls = np.bincount(level, minlength=self.levels)
-        self.bound = fields.reals(np.array(bounds))  # (levels) m
+        self.largest = fields.reals(np.array(bounds))  # (levels) m, radius in each
         # (levels) 1/m, of a cell across x
         self.inverse_width = fields.reals(1.0 / (2.0 * np.array(bounds) * self.enlarged * self.margin))
         fewest = 64 if self.levels == 1 else FEWEST_BUCKETS_OF_LEVEL
@@ -118,11 +118,6 @@ class Grid:
             d = x - self.origin[i]
             if d.dot(d) > (self.skin * self.model.radius[i]) ** 2:
                 self.stale[0] = 1
-
-    @ti.func
-    def note_origin(self, ball: ti.template(), i):
-        """Note the position of ball i for triangles, which search for what is near them by themselves."""
-        self.origin[i] = ball[i].x
 
     @ti.func
     def build(self, ball: ti.template()):

@@ -4,7 +4,6 @@ from taichi_sim.contacts.base import ContactRule
 from taichi_sim.device.engine import ti
 from taichi_sim.device.parts import STEP, Part
 from taichi_sim.kernels.contacts import energy_limiter, pair_impacts, pair_solve
-from taichi_sim.kernels.vectors import zero_scalar_in_2d
 
 __all__ = ["IteratedRule"]
 
@@ -110,11 +109,8 @@ class IteratedRule(ContactRule):
 
     @ti.func
     def impulses_of_sticks_and_triangles(self, ball: ti.template(), i, how: ti.template()):
-        """Impulse and angular impulse on ball i from sticks and triangles in an iteration: zero where all they accumulated was
-        applied before the move."""
-        p, t = ti.Vector.zero(float, self.model.dim), zero_scalar_in_2d(self.model.dim)
-        if ti.static(how.starts):
-            p, t = self.gather_sticks_and_triangles(ball, i)
+        """Impulse and angular impulse on ball i from sticks and triangles in an iteration."""
+        p, t = self.gather_sticks_and_triangles(ball, i)
         if ti.static(how.takes_back and self.plan.pairs and self.plan.warm_starts):  # no pair accumulates these
             self.warm_velocity[i] = self.warm_velocity[i] + self.model.inverse_mass[i] * p
             if ti.static(self.model.spins):

@@ -65,7 +65,7 @@ class Jacobi(IteratedRule):
             if ti.static(self.model.spins):
                 angular = self.angular_impulse[i]
             self.apply(i, self.impulse[i], angular)
-            if ti.static(self.plan.pairs and self.plan.warm_starts and how.takes_back):
+            if ti.static(how.takes_back):
                 self.exclude_pairs(ball, i)
             if ti.static(self.plan.walls):
                 self.apply(i, p, t)
@@ -78,7 +78,7 @@ class Jacobi(IteratedRule):
 
     @ti.func
     def _add_sticks_and_triangles(self, ball: ti.template(), i, how: ti.template()):
-        if ti.static(self.plan.sticks or self.plan.triangles):
+        if ti.static((self.plan.sticks or self.plan.triangles) and how.starts):  # else all was applied before the move
             p, t = self.impulses_of_sticks_and_triangles(ball, i, how)
             self.impulse[i] = self.impulse[i] + p
             if ti.static(self.model.spins):

@@ -1,5 +1,7 @@
 """Pairs: contacts between balls, found through the grid and kept, each once, in lists for all iterations of a step."""
 
+from typing import Any
+
 import numpy as np
 
 from taichi_sim.contacts.grid import Grid
@@ -29,6 +31,7 @@ class Pairs:
     capacity: links that are known to be needed."""
 
     what = "pairs of balls within reach of each other"
+    names = ("grid", "pairs")
 
     def __init__(self, model: Model, fields: Fields, grid: Grid, plan: ContactPlan, capacity: int = 0) -> None:
         scene = model.scene
@@ -48,9 +51,8 @@ class Pairs:
         self.has_rebounds = model.has_restitution and not plan.impacts_in_turn
         self.has_target = self.has_rebounds or (plan.soft and not plan.impacts_in_turn)
         vector = ti.types.vector(model.dim, fields.real)
-        columns = {"other": ti.i32, "impulse": fields.real}  # the ball that does not list it; N s
-        if model.has_friction:
-            columns["tangential_impulse"] = fields.tangential(model.dim)  # N s
+        # other: the ball that does not list it
+        columns = {"other": ti.i32, **fields.impulses(model.dim, model.has_friction)}
         if plan.soft:
             columns["bias_velocity"] = fields.real  # m/s, with which overlap is pushed out, or RIGID
         if self.has_rebounds:
@@ -94,9 +96,17 @@ class Pairs:
         if self.has_joined:
             self.joined_start, self.joined_other = fields.integers(start), fields.integers(other)
 
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["grid", "pairs"]
+    def kept(self) -> list[tuple[Any, Any]]:
+        """Members of `link`, and those of `contact` that hold them while lists are made anew."""
+        own, place = self.link, self.contact
+        members = [(own.impulse, place.depth)]
+        if self.plan.soft:
+            members.append((own.bias_velocity, place.target if self.has_target else place.starting_impulse))
+        if self.plan.keeps_loads:
+            members.append((own.load, place.starting_impulse))
+        if self.has_rebounds:
+            members.append((own.rebound_speed, place.rebound_speed))
+        return members
 
     def forget(self) -> None:
         """Clear what contacts have accumulated, from the next search on."""

@@ -21,6 +21,7 @@ class Sticks(WeightedContacts):
     ball and -(1 - at), -at on the ends. Contacts of a stick lie together. capacity: contacts known to be needed."""
 
     what = "balls that touch sticks"
+    names = ("sticks",)
     balls_per_contact = 3
     most = LARGEST_CAPACITY
 
@@ -36,11 +37,7 @@ class Sticks(WeightedContacts):
         self.capacity = max(capacity, usual)
         before = fields.bytes
         real, vector = fields.real, ti.types.vector(model.dim, fields.real)
-        # impulse: along the normal [N s]; tangential_impulse [N s]
-        accumulated = {
-            "impulse": real,
-            **({"tangential_impulse": fields.tangential(model.dim)} if model.has_friction else {}),
-        }
+        accumulated = fields.impulses(model.dim, model.has_friction)
         # starting_impulse: before the solve [N s]; gained_speed: of approach since it was last seen, last_speed: of then [m/s]
         seen = dict.fromkeys(("starting_impulse", "gained_speed", "last_speed"), real) if self.warm_starts else {}
         # normal: from stick to ball; at: part of the stick at which it touches; distance [m]
@@ -58,10 +55,6 @@ class Sticks(WeightedContacts):
         self.bytes_each = (fields.bytes - before) / self.capacity
         self.first, self.number = fields.integers(model.n), fields.integers(model.n)
         self.used, self.entries, self.overflow = (fields.integers(1) for _ in range(3))
-
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["sticks"]
 
     def forget(self) -> None:
         """Clear what contacts have accumulated, once sticks are looked at again."""

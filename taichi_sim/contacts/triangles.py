@@ -39,6 +39,7 @@ class TriangleContacts(WeightedContacts):
     kernels.contacts.triangle_pairs, for how pairs are found triangle_bvh. capacity: contacts known to be needed."""
 
     what = "surfaces that touch"
+    names = ("triangles",)
     balls_per_contact = 4
     most = LARGEST_CAPACITY
 
@@ -105,11 +106,10 @@ class TriangleContacts(WeightedContacts):
         columns = dict.fromkeys(("owner", "place", "first", "second"), ti.i32)
         self.candidate = fields.table(columns, self.candidate_capacity)
         # distance [m]; thickness: distance at touch [m], with a minus: may not be gone through, but does not push; target [m/s];
-        # impulse [N s]; planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
-        lengths = ("distance", "thickness", "target", "impulse", "upper_plane", "lower_plane")
+        # planes: along the normal [m], see kernels.contacts.triangle_pairs.planes; normal: toward the upper side
+        lengths = ("distance", "thickness", "target", "upper_plane", "lower_plane")
         columns = {**dict.fromkeys(("owner", "place", "kind"), ti.i32), "normal": vector}
-        if model.has_friction:
-            columns["tangential_impulse"] = vector  # N s
+        columns |= fields.impulses(model.dim, model.has_friction)
         self.contact = fields.table({**columns, **dict.fromkeys(lengths, fields.real)}, self.capacity)
         self.applied_impulse = fields.vectors(self.capacity, 3)  # N s
         self.member, self.entry = fields.integers(4 * self.capacity), fields.integers(4 * self.capacity)
@@ -125,10 +125,6 @@ class TriangleContacts(WeightedContacts):
         self.searched_position, self.searched_displacement = fields.vectors(n, 3), fields.vectors(n, 3)
         # [m] in common to all: way since then, change of the expected displacement, way of this step
         self.common_way, self.common_change, self.common_step = (fields.vectors(1, 3) for _ in range(3))
-
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["triangles"]
 
     @ti.func
     def ball_of(self, c, k):

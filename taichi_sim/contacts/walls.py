@@ -41,10 +41,9 @@ class Walls(Surfaces):
     ):
         super().__init__(model, fields, colliders, plan.limits_energy or plan.bends)
         self.state, self.plan, self.threshold = state, plan, threshold
-        # impulse: along the normal [N s]; target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
-        columns = {"impulse": fields.real, "target": fields.real, "role": ti.i32}
-        if model.has_friction:
-            columns["tangential_impulse"] = fields.tangential(model.dim)  # N s
+        self.names = ("walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else []))
+        # target: normal speed to come to [m/s]; role: see kernels.contacts.kinds
+        columns = {**fields.impulses(model.dim, model.has_friction), "target": fields.real, "role": ti.i32}
         if plan.keeps_loads:
             columns["load"] = fields.real  # N s, the part of the impulse that is no impact's, as far as it is known
         if plan.walls_in_turn:  # [N s] before the solve, and before the last iteration
@@ -78,10 +77,6 @@ class Walls(Surfaces):
             self.reflected = fields.vectors(model.n, model.dim)
             if self.probed:
                 self.reflecting_body = fields.integers(model.n)  # that it was an impact on, or -1
-
-    def names(self) -> list[str]:
-        """Names of the parts that are compiled in, for `Simulation.kernels()`."""
-        return ["walls.impact", "walls.resting", *(["colliders"] if self.has_colliders else [])]
 
     @ti.func
     def move(self, i, x, v, a, h, change):
@@ -345,26 +340,20 @@ class Walls(Surfaces):
     def _further_impulse(self, solver: ti.template(), i, k, v, spin, gain, time):
         """Further impulse on ball i, at the velocity v and this spin, by its contact k: `gain` times what reaches its target."""
         c, n = i * self.count + k, self.normal(i, k)
-        contact = self.contact[c]
         mass = 1.0 / self.model.inverse_mass[i]
         if ti.static(solver.split):
             mass = 1.0 / solver.effective_inverse_mass[i]
         elif ti.static(not (solver.in_turn or solver.sums_plainly)):
             mass /= self.mass_parts[i]
         u = self.relative(v, i, k)
-        slip, tangential, tangential_mass = u, zero_scalar_in_2d(self.model.dim), mass
-        if ti.static(self.model.has_friction):
-            tangential = contact.tangential_impulse
-            if ti.static(solver.model.spins):
-                slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
-                tangential_mass *= self.model.sideways(i)
-        p, now, tangential_now = contact_law.further_impulse(
-            self.model, self.law(i, k), n, u, slip, contact.target, gain * mass, tangential_mass, contact.impulse,
-            tangential, self.threshold[0], time,
-        )  # fmt: skip
-        self.contact[c].impulse = now
-        if ti.static(self.model.has_friction):
-            self.contact[c].tangential_impulse = tangential_now
+        slip, tangential_mass = u, mass
+        if ti.static(solver.model.spins):
+            slip -= self.turned_along(lever(spin, n), i, k, 0.5 / solver.rate[0])
+            tangential_mass *= self.model.sideways(i)
+        law, threshold = self.law(i, k), self.threshold[0]
+        p = contact_law.further_impulse(
+            self.model, self.contact, c, law, n, u, slip, gain * mass, tangential_mass, threshold, time
+        )
         if ti.static(self.probed):
             self.record(i, k, p)
         return p

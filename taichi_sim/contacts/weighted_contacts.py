@@ -118,25 +118,17 @@ class WeightedContacts:
     def further_impulse(self, solver: ti.template(), c, u, inverse, applied, time):
         """Further impulse [N s] of contact c from the relative velocity u [m/s], which has `applied` of this iteration in it but
         not in spins. inverse: `inverse_mass` [1/kg]. Viscous friction acts for `time` seconds."""
-        contact = self.contact[c]
-        n, mass, tangential = contact.normal, 1.0 / inverse, zero_scalar_in_2d(self.model.dim)
+        n, mass = self.contact[c].normal, 1.0 / inverse
         slip, tangential_mass = u, mass
-        if ti.static(self.model.has_friction):
-            tangential = contact.tangential_impulse
-            if ti.static(solver.model.spins):
-                if self.turns(c):
-                    i = self.ball_of(c, 0)
-                    rolling = self.model.spin_response(i) * self.own_inverse_mass(solver, i)
-                    slip -= lever(solver.state.spin[i] - rolling * cross(n, applied), n)
-                    tangential_mass = 1.0 / (inverse + rolling)
-        p, total, tangential = contact_law.further_impulse(
-            self.model, self.law(c), n, u, slip, contact.target, mass, tangential_mass, contact.impulse, tangential,
-            solver.threshold[0], time,
-        )  # fmt: skip
-        self.contact[c].impulse = total
-        if ti.static(self.model.has_friction):
-            self.contact[c].tangential_impulse = tangential
-        return p
+        if ti.static(solver.model.spins):
+            if self.turns(c):
+                i = self.ball_of(c, 0)
+                rolling = self.model.spin_response(i) * self.own_inverse_mass(solver, i)
+                slip -= lever(solver.state.spin[i] - rolling * cross(n, applied), n)
+                tangential_mass = 1.0 / (inverse + rolling)
+        return contact_law.further_impulse(
+            self.model, self.contact, c, self.law(c), n, u, slip, mass, tangential_mass, solver.threshold[0], time
+        )
 
     @ti.func
     def gather(self, ball: ti.template(), solver: ti.template(), i):

@@ -164,9 +164,11 @@ class Fields:
         """n zero spins: a scalar each in 2D, a vector in 3D."""
         return self.reals(n) if dim == 2 else self.vectors(n, 3)
 
-    def tangential(self, dim: int) -> Any:
-        """Type of a vector along a surface: a scalar in 2D, along the normal turned by 90 degrees."""
-        return self.real if dim == 2 else ti.types.vector(3, self.real)
+    def impulses(self, dim: int, friction: bool) -> dict[str, Any]:
+        """Columns of what a contact accumulates [N s]: `impulse` along its normal; with friction `tangential_impulse` along the
+        surface, in 2D a scalar along the normal turned by 90 degrees."""
+        along = self.real if dim == 2 else ti.types.vector(3, self.real)
+        return {"impulse": self.real, **({"tangential_impulse": along} if friction else {})}
 
     def integers(self, data: int | NDArray) -> Any:
         """A field of 32-bit integers: n zeros, or a copy of data, shape (n,)."""
