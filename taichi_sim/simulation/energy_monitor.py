@@ -93,7 +93,7 @@ class EnergyMonitor:
 
     def start_at(self, sample: Any) -> None:
         """Begin a run with the state of `sample`."""
-        self.start, self.held, self.risen = sample.total, sample.motion, 0.0
+        self.start, self.held, self.risen = sample.total, max(0.0, sample.motion), 0.0
         self.begin(sample)
 
     def begin(self, sample: Any) -> None:
@@ -113,9 +113,10 @@ class EnergyMonitor:
         if np.isinf(self.start):  # of a run that goes on from a file
             self.start = sample.total
         above = max(0.0, sample.total - self.start)
+        gain = max(0.0, above - self.lift - self._rounding(sample))
         self.held = max(self.held, sample.motion - above)
-        self.risen = max(self.risen, above - self.lift - self._rounding(sample))
-        if not self.closed or not self.only_loses or self.risen <= MOST_RISE * self.held:
+        self.risen = max(self.risen, gain)
+        if not self.closed or not self.only_loses or gain <= MOST_RISE * self.held:
             return None
         return Growth(self.start, sample.total, True)
 
@@ -146,7 +147,7 @@ class EnergyMonitor:
     def _rounding(self, sample: Any) -> float:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
         return (
-            self.digits * (sample.weight + sample.motion)
+            self.digits * (sample.weight + max(0.0, sample.motion))  # below 0 by rounding itself
             + self.cancelled
             + self.jitter
             + 2.0 * float(np.sqrt(max(0.0, sample.elastic) * self.jitter))
