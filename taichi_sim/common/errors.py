@@ -2,7 +2,7 @@
 
 import difflib
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any
@@ -16,6 +16,7 @@ __all__ = [
     "UnstableError",
     "about",
     "did_you_mean",
+    "following",
     "key_name",
     "path_of",
     "short",
@@ -123,6 +124,20 @@ def about(place: str) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def following(arguments: Mapping[str, Sequence[str]]) -> Iterator[None]:
+    """Let errors about what was worked out, columns of tables such as `balls.mass`, speak of the arguments that it follows from:
+    cloth.bending_rigidity: makes a stiffness of 2e+50, which is not allowed; ..."""
+    try:
+        yield
+    except SceneError as error:
+        if given := arguments.get(".".join(map(str, error.path[:2]))):
+            more = f", with {' and '.join(given[1:])}," if len(given) > 1 else ""
+            error.says = f"makes{more} a {error.path[1]} of {short(error.value)}, which {error.says}"
+            error.path, error.value = (error.path[0], given[0]), ...
+        raise
+
+
 def path_of(place: str | Sequence[str | int]) -> KeyPath:
     """("springs", 3, "pairs", 12) for `springs[3].pairs[12]`."""
     if not isinstance(place, str):
@@ -150,8 +165,15 @@ def short(value: object) -> str:
     """A value as text, cut off where that is long and no path."""
     if isinstance(value, os.PathLike):
         return repr(os.fspath(value))
-    text = _text(value.tolist() if hasattr(value, "tolist") else value)  # NumPy's
+    text = " ".join(_text(_listed(value)).splitlines())
     return text if len(text) <= LONGEST else text[: LONGEST - 3] + "..."
+
+
+def _listed(value: Any) -> Any:
+    """NumPy's arrays and numbers, also in lists and tuples, as Python's."""
+    if type(value) in (list, tuple):
+        return type(value)(map(_listed, value))
+    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _text(value: object) -> str:

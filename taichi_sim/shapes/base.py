@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError, about
+from taichi_sim.common.errors import SceneError, about, following
 from taichi_sim.common.memory import available
 from taichi_sim.scene.pins import Pins, chosen
 from taichi_sim.scene.presets import SLAB
@@ -29,6 +29,7 @@ __all__ = [
     "build",
     "counts",
     "exclusive",
+    "given_of",
     "lattice_pairs",
     "lengths",
     "moved",
@@ -46,6 +47,7 @@ SAFE_MARGIN = 2.0  # how far below the bound the defaults stay, as a factor in s
 # at most, while built and made to run
 BALL_BYTES, SPRING_BYTES, CELL_BYTES, BEND_BYTES, BRICK_BYTES, SOLID_BYTES = 800, 130, 250, 400, 600, 2000
 LITTLE = 100_000  # bytes that there always are
+NOTHING_SAID: Mapping[str, Sequence[str]] = {}
 DAMPING_RATIO = 0.1  # of critical, for the pair of balls at each spring
 
 
@@ -168,6 +170,11 @@ def counts(where: str, value: Any, n: int, low: int) -> tuple[int, ...]:
     if array.dtype.kind not in "iu" or array.shape != (n,) or (array < low).any():
         raise SceneError(where, value, f"{n} whole numbers of at least {low}")
     return tuple(int(k) for k in array)
+
+
+def given_of(**arguments: Any) -> list[str]:
+    """Names of those arguments that are not None, and of a scale that is not 1."""
+    return [name for name, value in arguments.items() if value is not None and not (name == "scale" and value == 1)]
 
 
 def or_default(where: str, value: float | None, default: float) -> float:
@@ -326,11 +333,12 @@ def build(
     solids: Solids | None = None,
     break_strain: float | None = None,
     uv: NDArray | None = None,
+    made_of: Mapping[str, Sequence[str]] = NOTHING_SAID,
 ) -> Shape:
     """Add one shape to the scene: points (n, dim) m, before they are moved; triangles (t, 3) and springs' pairs index its balls.
 
     stretched: strain (m,) of the springs at the start. uv: (n, 2), places on a sheet in 0..1, or (t, 3, 2) of the corners of its
-    triangles.
+    triangles. made_of: arguments of the shape that columns of tables follow from, see `errors.following`.
     """
     n, own = len(points), points
     points = moved(shape, own, part.position, part.rotation, part.scale)
@@ -353,7 +361,7 @@ def build(
     critical = 2 * np.sqrt(strength * reduced)
     corners = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
     pinned = chosen(f"{shape}.pinned", part.pinned, points, own, corners, part.words)
-    with scene.all_or_nothing(), about(shape):
+    with scene.all_or_nothing(), about(shape), following(made_of):
         balls = scene.add_balls(
             points,
             radius=part.radius,

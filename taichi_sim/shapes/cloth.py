@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about, following
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.common.warn import warn
 from taichi_sim.geometry import mesh as meshes
@@ -30,6 +30,7 @@ from taichi_sim.shapes.base import (
     build,
     counts,
     exclusive,
+    given_of,
     lattice_pairs,
     lengths,
     or_default,
@@ -174,7 +175,7 @@ def cloth(
         raise SceneError("cloth.mesh", says="takes the place of size and resolution; give one or the other")
     else:
         grid, surface = None, meshes.given_surface("cloth", mesh, up)
-        cloth_material.require_area(surface)
+        cloth_material.require_sheet(surface)
         if wrong := meshes.flaws(surface, closed=False):
             warn(f"cloth.mesh: {'; '.join(wrong)}. It does not bend like a sheet there; mend the mesh, if that matters")
         spacing, area = _mean_edge(surface), meshes.surface_area(surface)
@@ -227,8 +228,20 @@ def cloth(
     placed: dict[str, Any] = {"velocity": velocity, "position": position, "rotation": rotation, "scale": factor}
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
     more: dict[str, Any] = {"bends": bends, "break_strain": break_strain, "uv": surface.uv if grid is None else grid[4]}
-    with scene.all_or_nothing():
-        shape = build(scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, **more)
+    made_of = {
+        "balls.mass": given_of(mass=mass, mass_per_area=mass_per_area, mesh=mesh, size=size, scale=scale),
+        "springs.stiffness": given_of(stretch_stiffness=stretch_stiffness, shear_stiffness=shear_stiffness),
+        "springs.damping": given_of(damping=damping),
+        "bending.stiffness": given_of(
+            bending_rigidity=bending_rigidity, bending_weft=bending_weft, bending_stiffness=bending_stiffness,
+            young_modulus=young_modulus if bending_rigidity is None else None, thickness=thickness, size=size,
+        ),
+        "membranes.damping": given_of(damping=damping),
+    }  # fmt: skip
+    with scene.all_or_nothing(), about("cloth"), following(made_of):
+        shape = build(
+            scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, made_of=made_of, **more
+        )
         if weave is not None:
             scene.add_membranes(shape.triangles, **weave._asdict(), damping=time, rest=rest)
     return shape
@@ -267,6 +280,10 @@ def _weave(
     ratio = 0.3 if given_ratio is None else validation.number("cloth.poisson_ratio", given_ratio, low=-0.999, high=0.5)
     plane = modulus * thick / (1 - ratio**2)
     plate = plane * thick**2 / 12 if rigidity is None else rigidity
+    with following(dict.fromkeys(("cloth.warp", "cloth.bending_rigidity"), ("young_modulus", "thickness"))):
+        validation.number("cloth.warp", plane)
+        if rigidity is None:
+            validation.number("cloth.bending_rigidity", plate)
     return cloth_material.Weave(plane, plane, 0.5 * (1 - ratio) * plane, ratio * plane), plate
 
 

@@ -28,7 +28,7 @@ __all__ = [
     "of_mesh",
     "of_sheet",
     "of_triangles",
-    "require_area",
+    "require_sheet",
     "tension_shares",
     "turned",
 ]
@@ -74,12 +74,8 @@ def of_sheet(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> Parts
 
 
 def of_mesh(surface: Surface, fabric: Fabric) -> Parts:
-    """A triangle mesh; its shear stiffness is a third of the stretch stiffness. Raises SceneError for triangles without area and
-    for vertices without a triangle."""
+    """A triangle mesh; its shear stiffness is a third of the stretch stiffness. Raises SceneError for triangles without area."""
     area = _areas(surface)
-    unused = np.setdiff1d(np.arange(len(surface.vertices)), surface.triangles)
-    if len(unused):
-        raise SceneError("cloth.mesh", says=f"vertex {unused[0]} (from 0) belongs to no triangle; take it out")
     third = np.repeat(area / 3, 3)
     mass = fabric.mass_per_area * np.bincount(surface.triangles.ravel(), third, minlength=len(surface.vertices))
     bends, across, strength = _mesh_bends(surface, fabric)  # a spring across is never stiffer than the sheet
@@ -188,11 +184,15 @@ def _sheet_bends(number: tuple[int, int], spacing: NDArray, fabric: Fabric) -> B
     return along_x.plus(along_z).plus(twist)
 
 
-def require_area(surface: Surface) -> None:
-    """Raises SceneError where all triangles of a mesh are without area."""
-    thin = is_thin(*corners_of(surface))
-    if thin.all():
-        _refuse_thin(np.flatnonzero(thin))
+def require_sheet(surface: Surface) -> None:
+    """Raises SceneError where all triangles of a mesh are without area, or one has a corner twice; and for vertices without a
+    triangle."""
+    t = surface.triangles
+    thin, twice = is_thin(*corners_of(surface)), (t == np.roll(t, 1, axis=1)).any(axis=1)
+    _refuse_thin(np.flatnonzero(thin if thin.all() else twice))
+    unused = np.setdiff1d(np.arange(len(surface.vertices)), t)
+    if len(unused):
+        raise SceneError("cloth.mesh", says=f"vertex {unused[0]} (from 0) belongs to no triangle; take it out")
 
 
 def _areas(surface: Surface) -> NDArray[np.float64]:

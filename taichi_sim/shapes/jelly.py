@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from taichi_sim.common import validation
-from taichi_sim.common.errors import SceneError
+from taichi_sim.common.errors import SceneError, about, following
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.common.warn import warn
 from taichi_sim.geometry import mesh as meshes
@@ -20,6 +20,7 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import jelly_material
 from taichi_sim.shapes.base import (
     DAMPING_RATIO,
+    NOTHING_SAID,
     SAFE_MARGIN,
     SAFE_STEP,
     Cells,
@@ -32,6 +33,7 @@ from taichi_sim.shapes.base import (
     build,
     counts,
     exclusive,
+    given_of,
     lattice_pairs,
     lengths,
     or_default,
@@ -120,6 +122,7 @@ def jelly(
         surface_collision: in 3D, nothing goes through the surface, see Scene.add_triangles.
         up: axis of the mesh that points up, "y" or "z"; y by default, with a warning for STL and PLY, which do not tell.
     """
+    made_of = {"balls.mass": given_of(mass=mass, density=density, mesh=mesh, size=size, scale=scale)}
     elastic: dict[str, Any] = {"density": density, "young_modulus": young_modulus, "poisson_ratio": poisson_ratio}
     if stiffness is None:
         elastic = with_preset(scene, material, elastic, () if mass is None else ("density",))
@@ -150,7 +153,7 @@ def jelly(
             part = Part(total, ball_radius, *looks, **placed | {"scale": factor})
             guarded = strength if stiffness is None else 0.0
             cells = cells._replace(crush_modulus=guarded * cells.crush_modulus)
-            return build(scene, "jelly", points, kinds, triangles, part, strength, drag, cells=cells)
+            return build(scene, "jelly", points, kinds, triangles, part, strength, drag, cells=cells, made_of=made_of)
         body: jelly_material.Simplices | jelly_material.Boxes
         body, extent, default_radius = _solid_block(block, factor)
         volume, skin = float(np.prod(extent)), None
@@ -175,12 +178,14 @@ def jelly(
         default_radius = BALL_SHARE * step
         volume = enclosed if not len(meshes.holes(surface.triangles)) else float(body.volume.sum())
     total = mass if mass is not None else volume * or_default("jelly.density", density, JELLY_DENSITY[scene.dim])
+    with about("jelly"), following({} if mass is not None else made_of):
+        total = validation.number("balls.mass", total, positive=True)
     ratio = MESH_RATIO if poisson_ratio is None and mesh is not None else poisson_ratio
     shape = of_body(
         scene,
         "jelly",
         body,
-        or_default("jelly.mass", total, 1.0),
+        total,
         float(extent[1]),
         default_radius,
         young_modulus=young_modulus,
@@ -194,6 +199,7 @@ def jelly(
         self_collision=self_collision,
         surface_collision=surface_collision,
         bounded=fill != "tetrahedra",
+        made_of=made_of,
         **placed,
     )
     if skin is not None:
@@ -223,11 +229,12 @@ def of_body(
     self_collision: bool = False,
     surface_collision: bool = False,
     bounded: bool = True,
+    made_of: Mapping[str, Sequence[str]] = NOTHING_SAID,
     **placed: Any,
 ) -> Shape:
     """Add a jelly of a material; shape: its name in messages. mass: of all of it [kg]; height: m, for the default of Young's
-    modulus; bounded: that default is stable at 1 ms. The rest as for `jelly`; placed: velocity, position and the like. In 2D
-    pictures show its filled area, out to where its balls end, where no radius asks for balls.
+    modulus; bounded: that default is stable at 1 ms; made_of: as of `build`. The rest as for `jelly`; placed: velocity, position
+    and the like. In 2D pictures show its filled area, out to where its balls end, where no radius asks for balls.
     """
     if surface_collision and scene.dim == 2:
         raise SceneError(f"{shape}.surface_collision", says="needs a scene with dim = 3")
@@ -249,7 +256,8 @@ def of_body(
     part = Part(masses, ball_radius, pinned, material, colour, self_collision, surface_collision, **placed)
     mu, density = lame(scene.dim, modulus, ratio)[0], float(masses.sum() / body.volume.sum())
     elements = body.elements(modulus, ratio, _viscosity(body.side, mu, density, drag, scene.dim))
-    made = build(scene, shape, body.points, [], body.triangles, part, 0.0, None, **elements)
+    made_of = {**made_of, **dict.fromkeys(("bricks.viscosity", "solids.viscosity"), given_of(damping=damping))}
+    made = build(scene, shape, body.points, [], body.triangles, part, 0.0, None, made_of=made_of, **elements)
     if scene.dim == 2 and radius is None:
         corners, weights = filling(body.points, body.area, ball_radius)
         scene.add_embedded_surface(made.balls[corners], weights, body.area, colour=colour)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from taichi_sim.shapes.base import (
     bends_along,
     build,
     exclusive,
+    given_of,
     lattice_pairs,
     or_default,
     stable_stiffness,
@@ -94,7 +96,7 @@ def rope(
     distance = float(np.linalg.norm(b - a))
     if distance == 0:
         raise SceneError("rope.end", b, "another point than start")
-    length = or_default("rope.length", length, distance)
+    given_length, length = length, or_default("rope.length", length, distance)
     if length < LEAST_LENGTH * distance:
         allowed = f"at least {LEAST_LENGTH * distance:.4g}, {LEAST_LENGTH:g} of the distance from start to end"
         raise SceneError("rope.length", length, allowed)
@@ -144,7 +146,14 @@ def rope(
     bends = bends_along(np.arange(number), bend) if bend > 0 else None
     kinds = [Springs(pairs, 1.0)]
     tight = np.full(number - 1, distance / length - 1) if length < distance else None
-    return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, drag, stretched=tight, bends=bends)
+    made_of = {
+        "balls.mass": given_of(mass=mass, mass_per_length=mass_per_length, length=given_length),
+        "springs.stiffness": given_of(EA=EA, young_modulus=young_modulus, radius=radius),
+        "springs.damping": given_of(damping=damping),
+        "bending.stiffness": given_of(EI=EI, young_modulus=young_modulus, radius=radius),
+    }
+    given: dict[str, Any] = {"stretched": tight, "bends": bends, "made_of": made_of}
+    return build(scene, "rope", points, kinds, np.zeros((0, 3)), part, strength, drag, **given)
 
 
 def _hanging(a: NDArray, b: NDArray, length: float, number: int, gravity: NDArray) -> NDArray[np.float64]:

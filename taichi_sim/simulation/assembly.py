@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import Setup
 from taichi_sim.analysis.rebounds import AT_ONCE, IN_SWEEPS, IN_TURN
+from taichi_sim.analysis.single_numbers import require_single
 from taichi_sim.contacts import CONTACT_RULES, ContactRule
 from taichi_sim.contacts.colliders import Colliders
 from taichi_sim.contacts.distance_grid import distance_grids
@@ -93,6 +94,8 @@ class Assembly:
         self.backend, self.h = backend, h
         self.capacity = capacity
         cpu = backend.arch == "cpu"
+        if backend.precision == "f32":
+            require_single(scene)
         if settings.driver == "fused" and not cpu:
             raise ValueError(f"driver: 'fused' runs on one CPU thread; on {backend.arch} use 'parallel' or 'auto'")
         self._grids = distance_grids(scene)  # kernels cannot run while fields are being declared

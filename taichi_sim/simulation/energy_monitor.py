@@ -94,7 +94,7 @@ class EnergyMonitor:
 
     def start_at(self, sample: Any) -> None:
         """Begin a run with the state of `sample`."""
-        self.start, self.held, self.risen, self.low = sample.total, sample.motion, 0.0, sample
+        self.start, self.held, self.risen, self.low = sample.total, max(0.0, sample.motion), 0.0, sample
         self.begin(sample)
 
     def begin(self, sample: Any) -> None:
@@ -114,7 +114,7 @@ class EnergyMonitor:
         if np.isinf(self.start):  # of a run that goes on from a file
             self.start, self.low = sample.total, self.low or sample
         self.held = max(self.held, sample.motion - max(0.0, sample.total - self.start))
-        gain = self._gain(self.low, sample)
+        gain = max(0.0, self._gain(self.low, sample))
         self.risen = max(self.risen, gain)
         if sample.total < self.low.total:
             self.low = sample
@@ -154,7 +154,7 @@ class EnergyMonitor:
     def _rounding(self, sample: Any) -> float:
         """Joule by which sums may be off. Elastic: each stretch by the rounding of positions, (s + ds)^2 - s^2."""
         return (
-            self.digits * (sample.weight + sample.motion)
+            self.digits * (sample.weight + max(0.0, sample.motion))  # below 0 by rounding itself
             + self.cancelled
             + self.jitter
             + 2.0 * float(np.sqrt(max(0.0, sample.elastic) * self.jitter))

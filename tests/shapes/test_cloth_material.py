@@ -373,10 +373,14 @@ def test_a_mesh_without_area(material):
         shapes.cloth(Scene(dim=3), **SHEETS[0], **material)
 
 
-@pytest.mark.parametrize("material", [{"mass_per_area": 0.3}, {"warp": 50.0}])
-def test_a_vertex_of_no_triangle(material):
+@pytest.mark.parametrize("material", [{}, {"stiffness": 40.0}, {"mass_per_area": 0.3}, {"warp": 50.0}])
+def test_a_mesh_with_a_slip(material):
+    """A vertex without a triangle, and a triangle with a corner twice, are mistakes of any mesh."""
     with pytest.raises(SceneError, match=r"cloth\.mesh: vertex 3 \(from 0\) belongs to no triangle"):
         shapes.cloth(Scene(dim=3), **SHEETS[1], **material)
+    twice = np.delete(SHEETS[1]["mesh"][0], 3, axis=0), [[0, 2, 1], [2, 2, 1], [1, 2, 3]]
+    with pytest.raises(SceneError, match=r"cloth\.mesh: triangles 1 \(from 0\) have no area"):
+        shapes.cloth(Scene(dim=3), mesh=twice, **material)
 
 
 @pytest.mark.parametrize(

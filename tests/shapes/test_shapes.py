@@ -397,6 +397,12 @@ def test_a_mesh_may_be_two_lists():
     assert np.array_equal(one.triangles, two.triangles)
     with pytest.raises(SceneError, match=r"cloth\.mesh: \(1, 2, 3\) .* a file .obj .* or \(vertices, triangles\)$"):
         shapes.cloth(one, mesh=(1, 2, 3))
+    with pytest.raises(SceneError, match=r"^cloth\.mesh: \(\[\[\d.*\.\.\. is not .* or \(vertices, triangles\)$"):
+        shapes.cloth(one, mesh=(two.position, two.triangles, two.pairs))
+
+
+def scaled(factor):
+    return TETRAHEDRON.vertices * factor, TETRAHEDRON.triangles
 
 
 REFUSED = [
@@ -422,6 +428,27 @@ REFUSED = [
     (3, lambda s: shapes.cloth(s, position=(0, 1)), r"cloth\.position"),
     (3, lambda s: shapes.cloth(s, rotation=(0, float("inf"), 1)), r"cloth\.rotation\[1\]: inf"),
     (3, lambda s: shapes.cloth(s, colour=(2, 0, 0)), r"cloth\.colour\[0\]: 2"),
+    (
+        3,
+        lambda s: shapes.cloth(s, warp=9.0, bending_rigidity=8e49),
+        r"^cloth\.bending_rigidity: makes a stiffness of \d",
+    ),
+    (3, lambda s: shapes.cloth(s, bending_weft=9e49), r"^cloth\.bending_weft: makes a stiffness of \d"),
+    (3, lambda s: shapes.cloth(s, warp=9.0, mass_per_area=1e-49), r"^cloth\.mass_per_area: makes a mass of \d"),
+    (3, lambda s: shapes.cloth(s, mass=1e-49), r"^cloth\.mass: makes a mass of .*at least 1e-50"),
+    (3, lambda s: shapes.cloth(s, mesh=scaled(1e-26)), r"^cloth\.mesh: makes a mass of .*at least 1e-50"),
+    (3, lambda s: shapes.cloth(s, (1e27, 1e27), warp=9.0), r"^cloth\.size: makes a mass of .*at most 1e\+50"),
+    (3, lambda s: shapes.cloth(s, scale=1e27), r"^cloth\.scale: makes a mass of .*at most 1e\+50"),
+    (
+        3,
+        lambda s: shapes.cloth(s, young_modulus=1e40, thickness=1e11),
+        r"^cloth\.young_modulus: makes, with thickness, a warp of 1\.\d+e\+51, which is not allowed",
+    ),
+    (3, lambda s: shapes.jelly(s, young_modulus=1e4, damping=9e49), r"^jelly\.damping: makes a viscosity of \d"),
+    (3, lambda s: shapes.jelly(s, young_modulus=1e4, density=1e-50), r"^jelly\.density: makes a mass of .*least 1e-50"),
+    (3, lambda s: shapes.jelly(s, scale=1e20), r"^jelly\.scale: makes a mass of .*at most 1e\+50"),
+    (3, lambda s: shapes.jelly(s, (1e-20,) * 3), r"^jelly\.size: makes a mass of .*at least 1e-50"),
+    (3, lambda s: shapes.jelly(s, mesh=scaled(1e20)), r"^jelly\.mesh: makes a mass of .*at most 1e\+50"),
     (2, lambda s: shapes.jelly(s, (1, 1, 1)), r"jelly\.size: .* 2 lengths"),
     (2, lambda s: shapes.rope(s, (0, 0), (0, 0)), r"rope\.end: .*another point"),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), 1), r"rope\.n: 1 .*at least 2"),
@@ -438,6 +465,8 @@ REFUSED = [
     (2, lambda s: shapes.rope(s, (0, 0), (3, 4), length=1e-30), r"rope\.length: 1e-30 .*at least 0\.005, 0\.001 of"),
     (2, lambda s: shapes.rope(s, (0, 0), (1, 0), 2, length=1.5), r"rope\.length: 1\.5 .*more balls"),
     (2, lambda s: shapes.rope(s, (0, 0), (0, -1), 9, length=4.0), r"rope\.length: 4\.0 .*0 m apart sideways"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), EI=1e47), r"^rope\.EI: makes a stiffness of .*at most 1e\+50"),
+    (2, lambda s: shapes.rope(s, (0, 0), (1, 0), mass_per_length=2e-50), r"^rope\.mass_per_length: makes a mass of"),
     (2, lambda s: shapes.wheel(s, (0, 0), 0.0), r"wheel\.radius: 0"),
     (2, lambda s: shapes.wheel(s, (0, 0), 1.0, 2), r"wheel\.spokes: 2 .*at least 3"),
     (2, lambda s: shapes.pile(s, (3, 0), 1.0), r"pile\.resolution"),

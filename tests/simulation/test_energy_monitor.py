@@ -10,7 +10,7 @@ from element_blocks import mesh
 from physics_support import F64, PRECISION, each_dim, simulate, vector
 
 import taichi_sim as ts
-from taichi_sim.analysis.methods import SYMPLECTIC_EULER, TR_BDF2, VERLET
+from taichi_sim.analysis.methods import IMPLICIT_EULER, SYMPLECTIC_EULER, TR_BDF2, VERLET
 from taichi_sim.analysis.stability import present_limit
 from taichi_sim.simulation import run_checks
 from taichi_sim.simulation.energy_monitor import EnergyMonitor, Growth
@@ -443,6 +443,19 @@ def test_energy_below_0_by_rounding_is_judged():
     watch = EnergyMonitor(stiffening(), VERLET, 0.5, closed=True, contacts=False, precision="f32")
     watch.begin(look(0.0, -1e-20))
     assert watch.judge(look(0.5, -1e-20)) == (-1e-20, 0.5 - 1e-20, True)
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("start", [(0.0, -2e-13), (0.0, 0.0), (0.0, 3e-20)])
+def test_what_is_back_at_its_start_has_not_risen(start):
+    """Nor does what is held so firmly that nothing moves, whose sums are below 0 by rounding."""
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0, 1]], radius=0.1)
+    watch = EnergyMonitor(scene, IMPLICIT_EULER, 0.0, closed=True, contacts=False, precision="f32")
+    watch.start_at(look(*start))
+    assert watch.rise(look(*start)) is None
+    assert watch.rise(look(0.5, -2e-13)) == (start[1], 0.5 - 2e-13, True)
+    assert watch.rise(look(*start)) is None
 
 
 def landing_jelly():
