@@ -105,7 +105,7 @@ class Method:
         return 0.0
 
     def keeps_free_turns(self, speed: float | Floats, h: float) -> NDArray[np.bool_]:
-        """Whether bodies that nothing holds, and that turn at these speeds [rad/s], lose nothing all the same."""
+        """True where bodies that nothing holds lose nothing all the same; they turn at these speeds [rad/s]."""
         return np.zeros(np.shape(speed), dtype=np.bool_)
 
     def precedes_contacts(self, scene: Scene, h: float) -> bool:
@@ -245,7 +245,7 @@ class _TRBDF2(Method):
         return float((speed * h) ** 4) / (40.0 * h)
 
     def keeps_free_turns(self, speed: float | Floats, h: float) -> NDArray[np.bool_]:
-        """Where a step loses no more than it may give back."""
+        """True where a step loses no more than it may give back."""
         return np.asarray((np.asarray(speed) * h) ** 5 <= 40.0 * MOST_TURNED_BACK)
 
     def passes(self, scene: Scene, h: float) -> int:
