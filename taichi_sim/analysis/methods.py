@@ -28,6 +28,7 @@ __all__ = [
     "EXPLICIT_EULER",
     "GAMMA",
     "IMPLICIT_EULER",
+    "MOST_TURNED_BACK",
     "RK4",
     "SYMPLECTIC_EULER",
     "TR_BDF2",
@@ -40,6 +41,8 @@ __all__ = [
 GAMMA = 2.0 - float(
     np.sqrt(2.0)
 )  # first part of a step of TR-BDF2; then both stages have like matrices (Bank et al. 1985)
+# rad by which the turn that TR-BDF2 gives back to a free body leads it on in a step: by more, what turned by 3 gained energy
+MOST_TURNED_BACK = 0.1
 
 Floats = NDArray[np.float64]
 
@@ -98,8 +101,12 @@ class Method:
         return None
 
     def turning_loss(self, speed: float, h: float) -> float:
-        """Part of its angular momentum [1/s] that a free body loses which turns at a speed [rad/s]."""
+        """Part of its angular momentum [1/s] that a body loses which turns at a speed [rad/s]."""
         return 0.0
+
+    def keeps_free_turns(self, speed: float | Floats, h: float) -> NDArray[np.bool_]:
+        """True where bodies that nothing holds lose nothing all the same; they turn at these speeds [rad/s]."""
+        return np.zeros(np.shape(speed), dtype=np.bool_)
 
     def precedes_contacts(self, scene: Scene, h: float) -> bool:
         """True if springs, or their damping, are solved before it knows of contacts of balls in steps of h seconds."""
@@ -236,6 +243,10 @@ class _TRBDF2(Method):
     def turning_loss(self, speed: float, h: float) -> float:
         """h^3 W^4 / 40, see analysis.turning."""
         return float((speed * h) ** 4) / (40.0 * h)
+
+    def keeps_free_turns(self, speed: float | Floats, h: float) -> NDArray[np.bool_]:
+        """True where a step loses no more than it may give back."""
+        return np.asarray((np.asarray(speed) * h) ** 5 <= 40.0 * MOST_TURNED_BACK)
 
     def passes(self, scene: Scene, h: float) -> int:
         """Two stages."""

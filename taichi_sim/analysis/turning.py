@@ -4,6 +4,7 @@ The step of implicit Euler and of xpbd ends where the velocity v' = (x' - x) / h
 tangent at its end. The internal forces are central, so L' = sum m x' x v = L - h sum m v x v', and v' is v turned by W h: a rigid
 body loses h W^2 of its angular momentum a second, at any stiffness. Thus W falls as W / sqrt(1 + 2 h W^2 t). TR-BDF2, of order 2,
 takes h^3 W^4 / 40: pairs that keep their length, solved to rounding, lost 0.0248 (h W)^4 a step at h W = 0.1, and 0.0225 at 1.5.
+It gives that back to a body that no pin holds, see integrators.step_turns, unless it turns by more than 1.3 in a step.
 """
 
 from typing import NamedTuple
@@ -24,14 +25,16 @@ Floats = NDArray[np.float64]
 
 
 class Turn(NamedTuple):
-    """A body of springs that turns: its first ball, and its angular speed [rad/s]."""
+    """A body of springs that turns: its first ball, its angular speed [rad/s], and whether no pin holds it."""
 
     ball: int
     speed: float
+    free: bool
 
     def rate(self, method: Method, h: float) -> float:
         """Part of its angular momentum that steps of h seconds take in a second."""
-        return method.turning_loss(self.speed, h)
+        kept = self.free and method.keeps_free_turns(self.speed, h)
+        return 0.0 if kept else method.turning_loss(self.speed, h)
 
     def shows(self, method: Method, h: float) -> bool:
         """True if the loss of angular momentum is worth a word."""
@@ -44,10 +47,10 @@ class Turn(NamedTuple):
         return float((1.0 + power * self.rate(method, h) * seconds) ** (-1.0 / power))
 
 
-def fastest_turn(scene: Scene, position: Floats, velocity: Floats) -> Turn | None:
-    """The body that turns fastest, as the rigid one of its angular momentum: about its centre of mass, or about the pinned ball
-    where it has one. Bodies with two pinned balls or more are left out. position, velocity: (n, dim) [m], [m/s]. None where
-    springs join nothing that can turn."""
+def fastest_turn(scene: Scene, position: Floats, velocity: Floats, method: Method, h: float) -> Turn | None:
+    """The body that turns fastest of those that lose by it in steps of h seconds, as the rigid one of its angular momentum: about
+    its centre of mass, or about the pinned ball where it has one. Bodies with two pinned balls or more are left out. position,
+    velocity: (n, dim) [m], [m/s]. None where springs join nothing that can turn."""
     if not scene.n_springs:
         return None
     body, n = components(scene.n_balls, scene.pairs), scene.n_balls
@@ -65,16 +68,16 @@ def fastest_turn(scene: Scene, position: Floats, velocity: Floats) -> Turn | Non
     square = np.sum(x * x, axis=1)[:, None, None] * np.eye(3) - x[:, :, None] * x[:, None, :]
     inertia = _sums(body, (weight[:, None, None] * square).reshape(-1, 9), n)[some].reshape(-1, 3, 3)
     turn = np.einsum("nij,nj->ni", np.linalg.pinv(inertia, rcond=FLAT, hermitian=True), momentum)
-    speed = np.linalg.norm(turn, axis=1)
-    fastest = int(np.argmax(speed))
-    return Turn(int(np.flatnonzero(some)[fastest]), float(speed[fastest]))
+    speed, free = np.linalg.norm(turn, axis=1), pins[some] == 0
+    fastest = int(np.argmax(np.where(free & method.keeps_free_turns(speed, h), 0.0, speed)))
+    return Turn(int(np.flatnonzero(some)[fastest]), float(speed[fastest]), bool(free[fastest]))
 
 
 def at_start(scene: Scene, method: Method, h: float) -> Turn | None:
     """The body that turns fastest at the start; None where the method takes nothing from it in steps of h seconds."""
     if method.turning_loss(1.0, h) == 0.0:
         return None
-    turn = fastest_turn(scene, scene.position, scene.velocity)
+    turn = fastest_turn(scene, scene.position, scene.velocity, method, h)
     return turn if turn is not None and turn.rate(method, h) > 0.0 else None
 
 

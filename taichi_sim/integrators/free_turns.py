@@ -30,7 +30,7 @@ class FreeTurns:
         self.held = fields.integers(bodies.count)  # 1: surfaces hold balls of this body, and may give it a torque
 
     @ti.func
-    def _long(self, vector):
+    def long(self, vector):
         """A vector, padded or not, with three components in double precision."""
         long = ti.Vector.zero(self.wide, 3)
         for a in ti.static(range(self.dim)):
@@ -42,7 +42,7 @@ class FreeTurns:
         """Place of ball i where the elements of body b act, from the first ball of that."""
         first = self.bodies.ball(self.bodies.first_part(b), 0)
         s = ti.cast(self.step[0], self.wide)
-        return self._long(ahead[i].x - ahead[first].x) + s * self._long(ahead[i].v - ahead[first].v)
+        return self.long(ahead[i].x - ahead[first].x) + s * self.long(ahead[i].v - ahead[first].v)
 
     @ti.func
     def correct(self, ahead: ti.template(), table: ti.template(), target: ti.template()):
@@ -58,7 +58,7 @@ class FreeTurns:
                 b = self.bodies.of(i)
                 if self.inverse_mass[i] > 0.0 and self.mass[b] > 0.0:
                     arm = ti.cast(self._arm(i, b, ahead), float) - self.centre[b]
-                    table[i].v = table[i].v + self._short(self._along_circle(self.turn[b], arm))
+                    table[i].v = table[i].v + self.short(self._along_circle(self.turn[b], arm))
 
     @ti.func
     def _along_circle(self, turn, arm):
@@ -68,7 +68,7 @@ class FreeTurns:
         return (tangent + half.cross(tangent)) / (1.0 + half.dot(half))
 
     @ti.func
-    def _short(self, vector):
+    def short(self, vector):
         """The components of a vector that the scene has."""
         short = ti.Vector.zero(float, self.dim)
         for a in ti.static(range(self.dim)):
@@ -86,12 +86,12 @@ class FreeTurns:
                 if w > 0.0:
                     arm = self._arm(i, b, ahead)
                     moment += arm / w
-                    torque += arm.cross(self._long(table[i].v) - self._long(target[i])) / w
-                    inertia += self._inertia(arm, 1.0 / w)
+                    torque += arm.cross(self.long(table[i].v) - self.long(target[i])) / w
+                    inertia += self.inertia(arm, 1.0 / w)
         self.part[c].moment, self.part[c].torque, self.part[c].inertia = moment, torque, inertia
 
     @ti.func
-    def _inertia(self, arm, mass):
+    def inertia(self, arm, mass):
         """Inertia (3, 3) of a mass at an arm (3,)."""
         return mass * (arm.dot(arm) * ti.Matrix.identity(self.wide, 3) - arm.outer_product(arm))
 
@@ -99,11 +99,18 @@ class FreeTurns:
     def _find_turn(self, b):
         self.turn[b] = ti.Vector.zero(float, 3)
         if self.mass[b] > 0.0 and self.held[b] == 0:
-            mass = ti.cast(self.mass[b], self.wide)
-            centre = self.bodies.total(self.part.moment, b) / mass
-            inertia = self.bodies.total(self.part.inertia, b) - self._inertia(centre, mass)
-            size = inertia.trace()
-            if size > 0.0:
-                one = SMALLEST_INERTIA * ti.Matrix.identity(self.wide, 3)
-                turn = -(inertia / size + one).inverse() @ self.bodies.total(self.part.torque, b) / size
-                self.turn[b], self.centre[b] = ti.cast(turn, float), ti.cast(centre, float)
+            moment, torque = self.bodies.total(self.part.moment, b), self.bodies.total(self.part.torque, b)
+            self.turn[b], self.centre[b] = self.against(
+                torque, moment, self.bodies.total(self.part.inertia, b), ti.cast(self.mass[b], self.wide)
+            )
+
+    @ti.func
+    def against(self, momentum, moment, inertia, mass):
+        """Turn [1/s] that takes an angular momentum from a body of this mass, and its centre: sums of m x and of the inertia."""
+        centre = moment / mass
+        own = inertia - self.inertia(centre, mass)
+        size, turn = own.trace(), ti.Vector.zero(self.wide, 3)
+        if size > 0.0:
+            one = SMALLEST_INERTIA * ti.Matrix.identity(self.wide, 3)
+            turn = -(own / size + one).inverse() @ momentum / size
+        return ti.cast(turn, float), ti.cast(centre, float)

@@ -116,8 +116,8 @@ class Verdicts(Tallies):
 
     @ti.func
     def go_on(self, b):
-        """The phase of body b after an iteration of Newton's method, or before the first. Implicit Euler measures what acts
-        where the stage is: at a guess that strains a body far it is much larger. Blocks of such a guess are made anew before the
+        """The phase of body b after an iteration of Newton's method, or before the first. What acts is measured where the stage
+        is: at a guess that strains a body far it is much larger. Blocks of such a guess are made anew before the
         stage counts as solved."""
         scale, before = self.number[b].scale, self.number[b].scale_of_blocks
         self.number[b].target = scale * self.number[b].allowed

@@ -9,6 +9,7 @@ from taichi_sim.device.model import phase_type
 from taichi_sim.device.parts import STEP, Part
 from taichi_sim.forces.driven_pins import DrivenPinSlopes
 from taichi_sim.integrators.implicit_base import STRUCK, Implicit
+from taichi_sim.integrators.step_turns import StepTurns
 
 __all__ = ["TRBDF2"]
 
@@ -56,6 +57,9 @@ class TRBDF2(Implicit):
         self.answers = self.solves and (self.contacts.plan.reflects or self.contacts.plan.marks_bounces)
         if self.answers:
             self.struck = fields.integers(self.solver.bodies.count)  # 1: a ball of this body bounced in the last step
+        self.keeps_turns = self.solves and self.solver.turns_freely and self.solver.free.some
+        if self.keeps_turns:
+            self.turns = StepTurns(self, fields)
         if self.driven:
             assert self.forces.springs is not None
             self.corners = DrivenPinSlopes(self.model, self.state, self.pins, self.forces.springs, fields)
@@ -128,11 +132,26 @@ class TRBDF2(Implicit):
         kicks from outside change it; else the one that it has. What stages left out and slopes carry on is the difference."""
         v = self.solver.base[i].v
         if stage == 2:
-            v = self.ball[i].v + (MIDDLE * GAMMA) * self.kick[i] + self.solver.kick[i]
+            v = self.ball[i].v + self.pushed(i)
         elif ti.static(self.answers):
             if answers and self.struck[self.solver.bodies.of(i)] > 0:
                 v = self.ball[i].v
         return v
+
+    @ti.func
+    def pushed(self, i):
+        """Change of the velocity of ball i in a step by kicks from outside [m/s], after the last stage."""
+        return (MIDDLE * GAMMA) * self.kick[i] + self.solver.kick[i]
+
+    @ti.func
+    def mean(self, i):
+        """Mean velocity of ball i in a step [m/s], after the last stage, before it is kicked."""
+        v, middle, after = self.ball[i].v, self.solver.first[i], self.solver.base[i].v
+        return (MIDDLE * self.part) * (v + middle) + self.part * after
+
+    @ti.func
+    def _keep_turns(self, role: ti.template(), h, time):
+        self.turns.find(h)
 
     @ti.func
     def _answer(self, h):
@@ -147,7 +166,8 @@ class TRBDF2(Implicit):
     def finishing(self) -> list[Part]:
         """Parts that end a step: the kick to its mean velocity, contacts, the move, the rest of the change, contacts."""
         last = [Part(self, "_renew", STEP)] if self.driven else []
-        return [*self.moving(), Part(self, "_kick_by_rest", STEP), Part(self, "_hold", STEP), *last]
+        first = [Part(self, "_keep_turns", STEP)] if self.keeps_turns else []
+        return [*first, *self.moving(), Part(self, "_kick_by_rest", STEP), Part(self, "_hold", STEP), *last]
 
     @ti.func
     def _kick_by_rest(self, role: ti.template(), h, time):
@@ -172,10 +192,11 @@ class TRBDF2(Implicit):
     @ti.func
     def before_move(self, i, h):
         """Kick ball i to the mean velocity of the step."""
-        v, middle, after = self.ball[i].v, self.solver.first[i], self.solver.base[i].v
-        mean = (MIDDLE * self.part) * (v + middle) + self.part * after
+        v, mean, after = self.ball[i].v, self.mean(i), self.solver.base[i].v
         self.pull[i] = (after - v) / h
         self.rest[i] = after - mean
+        if ti.static(self.keeps_turns):
+            self.rest[i] = self.rest[i] + self.turns.kick[i]
         self.state.kick(i, mean - v)
 
     @ti.func

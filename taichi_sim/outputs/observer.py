@@ -86,7 +86,7 @@ class Observer:
         if method.turning_loss(1.0, h) == 0.0:
             return ""
         states = [(scene.position, scene.velocity)] + ([] if last is None else [(last.position, last.velocity)])
-        turns = [turn for state in states if (turn := turning.fastest_turn(scene, *state)) is not None]
+        turns = [turn for state in states if (turn := turning.fastest_turn(scene, *state, method, h)) is not None]
         turn = max(turns, key=lambda one: one.speed, default=None)
         if turn is None or not turn.shows(method, h):
             return ""
