@@ -78,14 +78,18 @@ def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
     for one in solved:
         elastic += one.stiffness(scene)
         damping += one.damping(scene)
+    solids: list[tuple[NDArray[np.int32], tuple[Floats, Floats, Floats, Floats]]] = []
     if BRICKS in solved:
         volume = scene.brick_size.prod(axis=1)
         laws = volume, scene.brick_modulus, scene.brick_ratio, scene.brick_viscosity
-        _add_solids(scene, scene.bricks, laws, up, elastic, damping)
+        solids.append((scene.bricks, laws))
     if SOLIDS in solved:
         volume = shape_gradients(scene.solid_rest)[1]
         laws = volume, scene.solid_modulus, scene.solid_ratio, scene.solid_viscosity
-        _add_solids(scene, scene.solids, laws, up, elastic, damping)
+        solids.append((scene.solids, laws))
+    for one, other in (_strained(scene, *each, up) for each in solids):
+        elastic.append(one)
+        damping.append(other)
     edges = [kind.corners[:, [k, k + 1]] for kind in elastic for k in range(kind.corners.shape[1] - 1)]
     if not edges:
         return None
@@ -143,22 +147,18 @@ def _springs(scene: Scene, strength: Floats) -> list[Quadratic]:
     return [Quadratic(scene.pairs, np.stack([-along, along], axis=1), strength)]
 
 
-def _add_solids(
-    scene: Scene,
-    corners: NDArray[np.int32],
-    laws: tuple[Floats, Floats, Floats, Floats],
-    up: Floats,
-    elastic: list[Quadratic],
-    damping: list[Quadratic],
-) -> None:
-    """Add bricks or solids with these corners, strained along `up` alone. laws: volumes, moduli, ratios and viscosities."""
+def _strained(
+    scene: Scene, corners: NDArray[np.int32], laws: tuple[Floats, Floats, Floats, Floats], up: Floats
+) -> tuple[Quadratic, Quadratic]:
+    """Stiffness and damping of bricks or solids with these corners, strained along `up` alone. laws: volumes, moduli, ratios and
+    viscosities."""
     volume, modulus, ratio, viscosity = laws
     mu, lam = lame(scene.dim, modulus, ratio)
     x = scene.position[corners]
     apart = np.linalg.pinv(x - x.mean(axis=1, keepdims=True))  # (e, dim, k): the gradient of a field from its corners
     gradient = np.einsum("eak,a->ek", apart, up)[:, :, None] * up
-    elastic.append(Quadratic(corners, gradient, volume * (lam + 2.0 * mu)))
-    damping.append(Quadratic(corners, gradient, 2.0 * volume * viscosity))
+    elastic = Quadratic(corners, gradient, volume * (lam + 2.0 * mu))
+    return elastic, Quadratic(corners, gradient, 2.0 * volume * viscosity)
 
 
 def _lowest(scene: Scene, body: NDArray[np.int64], up: Floats) -> NDArray[np.bool_]:

@@ -69,7 +69,7 @@ class Received:
         return [self.sum]
 
     def renew(self) -> None:
-        """What `live` gives was put back."""
+        """Take note that the values of `live` were put back."""
 
     def value(self) -> NDArray[np.float64]:
         """(bodies, dim) N s since the start."""

@@ -91,7 +91,7 @@ class Tearing:
         return [self.torn]
 
     def renew(self) -> None:
-        """What `live` gives was put back."""
+        """Take note that the values of `live` were put back."""
         self._set(self.torn.to_numpy())
 
     def _set(self, torn: NDArray[Any]) -> None:

@@ -16,7 +16,7 @@ FUTILE = 4  # times the number of parts that gains least, beyond which no more a
 
 @ti.data_oriented
 class Beginning(Moments):
-    """What a substep starts from. To begin anew from it leaves no trace of what was made since: it also holds what the method has
+    """State that a substep starts from. To begin anew from it leaves no trace of what was made since: it also holds what the method has
     counted and what followers of the state have."""
 
     def _hold(self, contacts: Any) -> None:
@@ -43,7 +43,7 @@ class Division:
         self.number, self.finest, self.parts = 0, 1, 1
 
     def said(self) -> list[str]:
-        """What was divided, in words; none where nothing was."""
+        """Words on the substeps that were divided; none where nothing was."""
         if not self.number:
             return []
         many = counted(self.number, "substep that", "substeps, each of which")

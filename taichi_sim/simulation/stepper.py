@@ -167,7 +167,7 @@ class Stepper:
         self._note()
 
     def _note(self) -> None:
-        """What is known of watched substeps belongs to what is kept."""
+        """Keep what is known of watched substeps with the state that is kept."""
         division = self.division
         self.watched = [self.kinetic, self.gained, division.number, division.finest, division.parts]
 
@@ -208,7 +208,7 @@ class Stepper:
         self._take_back()
 
     def _take_back(self) -> None:
-        """What is known of watched substeps is what was known then."""
+        """Return to what was known of watched substeps when the state was kept."""
         self.kinetic, self.gained, number, finest, parts = self.watched
         division = self.division
         division.number, division.finest, division.parts = int(number), int(finest), int(parts)
