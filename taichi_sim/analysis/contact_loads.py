@@ -87,9 +87,9 @@ def at_contacts(scene: Scene, method: Method, h: float) -> Excess | None:
         volume = shape_gradients(scene.solid_rest)[1]
         laws = volume, scene.solid_modulus, scene.solid_ratio, scene.solid_viscosity
         solids.append((scene.solids, laws))
-    for one, other in (_strained(scene, *each, up) for each in solids):
-        elastic.append(one)
-        damping.append(other)
+    for stiff, lossy in (_strained(scene, *each, up) for each in solids):
+        elastic.append(stiff)
+        damping.append(lossy)
     edges = [kind.corners[:, [k, k + 1]] for kind in elastic for k in range(kind.corners.shape[1] - 1)]
     if not edges:
         return None

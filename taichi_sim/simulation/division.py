@@ -16,8 +16,8 @@ FUTILE = 4  # times the number of parts that gains least, beyond which no more a
 
 @ti.data_oriented
 class Beginning(Moments):
-    """State that a substep starts from. To begin anew from it leaves no trace of what was made since: it also holds what the method has
-    counted and what followers of the state have."""
+    """State that a substep starts from. To begin anew from it leaves no trace of what was made since: it also holds what the
+    method has counted and what followers of the state have."""
 
     def _hold(self, contacts: Any) -> None:
         super()._hold(contacts)
