@@ -12,7 +12,7 @@ from trajectories import pierced
 
 import taichi_sim as ts
 from taichi_sim.analysis import diagnostics
-from taichi_sim.forces.sum import KERNELS
+from taichi_sim.forces import sum as forces_sum
 
 pytestmark = pytest.mark.long_in("f64")
 
@@ -494,7 +494,7 @@ class Draught:
 
 
 def test_a_built_in_force_that_is_no_list_of_corners_lets_springs_tear(monkeypatch):
-    monkeypatch.setitem(KERNELS, "wind", Draught)
+    monkeypatch.setattr(forces_sum, "_kernels", {"wind": Draught}.__getitem__)
     scene = ts.Scene(dim=3)
     scene.add_balls([[0, 0, 0], [1, 0, 0], [0, 1, 0]], radius=0.01, mass=2.0)
     scene.add_springs([[0, 1]], stiffness=10.0, break_strain=0.5)

@@ -93,6 +93,7 @@ def test_divided_substeps_are_the_same_bits_in_other_calls_and_after_a_snapshot(
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.slow
 def test_a_body_that_lifts_off_gains_no_energy():
     """One that landed at certain moments of a step gained a tenth of its energy in the one in which it left."""
     h, gains = 1 / 80, []
