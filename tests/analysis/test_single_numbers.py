@@ -8,7 +8,7 @@ from taichi_sim.analysis.single_numbers import require_single
 
 
 def cloth(**given):
-    scene = ts.Scene(dim=3)
+    scene = ts.Scene(dim=3, gravity=(0.0, -9.81, 0.0))
     ts.shapes.cloth(scene, (1.0, 1.0), (3, 4), **{"warp": 500.0, "mass_per_area": 0.3} | given)
     return scene
 
