@@ -162,7 +162,7 @@ class Assembly:
         self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
         self.beginning: Beginning | None = None
         if divides(settings, self.integrator, self.contacts):
-            self.beginning = Beginning(self.state, self.integrator, self.contacts, self.fields, self.fused)
+            self.beginning = Beginning(self.state, self.integrator, self.contacts, self.fields, self.fused, 2)
         size = scene.n_balls + scene.n_springs
         self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing, size)
 

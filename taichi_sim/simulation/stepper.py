@@ -147,7 +147,7 @@ class Stepper:
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.start_at(sample)
         self.largest_motion, self.checks.fastest = sample.motion, sample.speed
-        self.watched = [sample.kinetic, 0.0, 0, 1, 1]  # what ran before has no say
+        self.watched = [sample.kinetic, 0.0]  # what ran before has no say
         self._take_back()
         self.primed, self.moved = True, False
         self.policy.start()
@@ -168,8 +168,7 @@ class Stepper:
 
     def _note(self) -> None:
         """Keep what is known of watched substeps with the state that is kept."""
-        division = self.division
-        self.watched = [self.kinetic, self.gained, division.number, division.finest, division.parts]
+        self.watched = [self.kinetic, self.gained, *self.division.counts()]
 
     def new_chunk(self) -> None:
         """Begin a chunk, the steps that run before the state is checked again, with this step, from the state last kept."""
@@ -188,6 +187,7 @@ class Stepper:
             self.parts.moments.remember(KEPT)
             self.parts.integrator.recall()
         self._begun = True
+        self._seen = None  # contacts may have changed velocities
 
     def _make_room(self, needed: ContactCapacity) -> None:
         """Go back to what is kept, with room for what is needed. Raises SceneError where there is none."""
@@ -209,9 +209,8 @@ class Stepper:
 
     def _take_back(self) -> None:
         """Return to what was known of watched substeps when the state was kept."""
-        self.kinetic, self.gained, number, finest, parts = self.watched
-        division = self.division
-        division.number, division.finest, division.parts = int(number), int(finest), int(parts)
+        self.kinetic, self.gained, *counts = self.watched
+        self.division.put_back(counts)
 
     def run_to(self, target: int) -> StateSample:
         """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
