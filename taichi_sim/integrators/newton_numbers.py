@@ -121,6 +121,7 @@ class Stage:
     wide: Any
     tolerance: float
     order: int
+    measures_anew: bool  # whether what acts is measured in each round
     least: float
     rounding: float
     finest: float

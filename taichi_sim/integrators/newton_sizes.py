@@ -30,7 +30,7 @@ class Sizes(Verdicts):
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.begins(b):
-                self._note_sizes(b)
+                self._note_sizes(b, True)
                 self.number[b].scale_of_blocks = self.number[b].scale
                 within = self.bodies.total(self.part.within, b)
                 self.number[b].within = ti.max(self.number[b].force, within)
@@ -43,12 +43,14 @@ class Sizes(Verdicts):
                 self.judge_guess(b)
 
     @ti.func
-    def _note_sizes(self, b):
-        """The sizes of the residual and of what acts on body b, and the work of the residual."""
+    def _note_sizes(self, b, of_acting: ti.template()):
+        """The sizes of the residual and of what acts on body b, and the work of the residual. Where springs alone act, TR-BDF2
+        measures what acts at the guess only: measured anew, stiff ones that turn far in a step take twice the passes."""
         force = self.bodies.total(self.part.force, b)
         self.number[b].residual = self.bodies.total(self.part.residual, b)
         self.number[b].force = force
-        self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
+        if ti.static(of_acting):
+            self.number[b].scale = ti.max(force, self.bodies.total(self.part.kinetic, b))
         self.number[b].passes += 1.0
         self.note_work(b)
         if ti.static(self.holds):
@@ -190,7 +192,7 @@ class Sizes(Verdicts):
         ti.loop_config(serialize=ti.static(self.bodies.few))
         for b in range(self.bodies.count):
             if self.number[b].phase == FOUND:
-                self._note_sizes(b)
+                self._note_sizes(b, self.measures_anew)
                 self.number[b].onward = self.bodies.total(self.part.onward, b)
                 self.judge_change(b)
 
