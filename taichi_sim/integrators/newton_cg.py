@@ -108,7 +108,7 @@ class StageSolver(Sizes, Potentials, Search, Releases):
             self.start, self.own_spring = fields.integers(start), fields.integers(spring)
             self._own_springs(springs, fields)
         self.elements = StageElements(elements, model, fields) if elements else None
-        self.measures_anew = self.order == 1 or bool(elements)
+        self.measures_anew = self.order == 1 or (bool(elements) and not method.contacts.plan.walls)
         self.bodies = Bodies(model, self.elements.ties if self.elements is not None else NO_TIES, fields)
         self.holds = method.contacts.plan.walls
         if self.holds:
