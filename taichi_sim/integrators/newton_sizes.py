@@ -45,7 +45,8 @@ class Sizes(Verdicts):
     @ti.func
     def _note_sizes(self, b, of_acting: ti.template()):
         """The sizes of the residual and of what acts on body b, and the work of the residual. Where springs alone act, or
-        surfaces may hold balls, TR-BDF2 measures what acts at the guess only: stiff springs that turn far take half the passes so."""
+        surfaces may hold balls, TR-BDF2 measures what acts at the guess only: stiff springs that turn far take half the
+        passes so."""
         force = self.bodies.total(self.part.force, b)
         self.number[b].residual = self.bodies.total(self.part.residual, b)
         self.number[b].force = force
