@@ -81,6 +81,8 @@ def overlap_of_bodies(scene: Scene, least: float) -> str:
         for other in np.flatnonzero(near):
             x = scene.position[balls]
             which[balls] |= ((low[other] < x) & (x < high[other])).all(axis=1)
+    if not which.any():  # as of most scenes: what follows loads SciPy
+        return ""
     deep, words = max(_overlaps(scene, which).values(), default=(0.0, ""))
     return f"{words} overlap by {deep:.2g} of the smaller radius at the start" if deep >= least else ""
 

@@ -26,7 +26,7 @@ CLOSE = 1e-6 if F64 else 1e-3
 
 
 class Cut(Form):
-    """What of the ball of `radius` about the origin has x < half[0]."""
+    """Part of the ball of `radius` about the origin that has x < half[0]."""
 
     measured_by = "cut_distance"
 
@@ -47,7 +47,7 @@ class Cut(Form):
 
 @dataclass(frozen=True)
 class Dome(Placed):
-    """What is left of a ball that a plane cuts.
+    """Part of a ball that a plane leaves.
 
     Args:
         center: (dim,) of the ball [m]; radius: of the ball [m]; cut: of the plane, along x [m].
