@@ -121,7 +121,9 @@ def torn_open(scene: Scene, position: NDArray, torn: NDArray[np.bool_]) -> NDArr
 
 def check_tearing(scene: Scene) -> None:
     """Raise SceneError where a side of a triangle that holds a gas could tear: what is left would still do so."""
-    validation.strains("springs.break_strain", scene.break_strain, scene.n_springs)  # which may have been set by hand
+    validation.limits(
+        "springs.break_strain", scene.break_strain, scene.n_springs, positive=True
+    )  # which may have been set by hand
     validation.strained(scene.break_strain, scene.rest_length)
     tears = np.isfinite(scene.break_strain)
     for number, gas in enumerate(scene.gases):

@@ -19,7 +19,7 @@ MOST = 1e34  # of single precision's 3e38: sums over a ball, and products with i
 LEAST_MASS = 1e-25  # kg; squares of what implicit methods leave unsolved, times it, vanish below: 0.3 % off at 1e-30
 MILD, LEAST_MILD_MASS = 1e15, 1e-12  # within these no ratio is near the bounds
 CURE = 'use precision "f64", or other units'
-CLIPPED = ("break_strain",)  # large ones tear nothing
+CLIPPED = ("break_strain", "compression_limit")  # large ones limit nothing
 NUMBERS = np.float64  # of columns that are looked at
 
 

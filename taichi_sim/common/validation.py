@@ -24,6 +24,7 @@ __all__ = [
     "flags",
     "given",
     "indices",
+    "limits",
     "many",
     "name",
     "number",
@@ -33,7 +34,6 @@ __all__ = [
     "rows",
     "rows_of_vectors",
     "strained",
-    "strains",
     "tables",
     "vector",
     "vectors",
@@ -172,15 +172,16 @@ def given(**optional: Any) -> dict[str, Any]:
     return {name: value for name, value in optional.items() if value is not None}
 
 
-def strains(where: str, value: ArrayLike | None, n: int) -> NDArray[np.float64]:
-    """Positive strains, one or one per item, infinite or None where nothing breaks, as an array of shape (n,). SceneError."""
+def limits(where: str, value: ArrayLike | None, n: int, **bounds: Any) -> NDArray[np.float64]:
+    """Numbers within `bounds`, see `per_item`, one or one per item, infinite or None where there is no limit, as an array of
+    shape (n,). Raises SceneError."""
     if value is None:
         return np.full(n, np.inf)
     given = as_array(value)
     if given.dtype.kind != "f":
-        return per_item(where, value, n, positive=True)
+        return per_item(where, value, n, **bounds)
     never = np.isposinf(given)
-    finite = per_item(where, np.where(never, 1.0, given), n, positive=True)
+    finite = per_item(where, np.where(never, 1.0, given), n, **bounds)
     return np.where(np.broadcast_to(never, (n,)), np.inf, finite)
 
 

@@ -6,11 +6,14 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.forces.corners import Corners
+from taichi_sim.forces.folding import elastic, folded
 from taichi_sim.kernels.springs import padded_blocks
 from taichi_sim.kernels.springs.padded_blocks import dot
 from taichi_sim.scene.membranes import shape_gradients
 
 __all__ = ["Membranes"]
+
+NO_LIMIT = 1e30  # N/m, which nothing reaches that single precision holds
 
 
 @ti.data_oriented
@@ -41,9 +44,14 @@ class Membranes(Corners):
         values |= {name: area * getattr(scene, f"membrane_{name}") for name in ("warp", "weft", "shear", "coupling")}
         if self.damped:
             values["damping"] = scene.membrane_damping
+        self.folds = bool(np.isfinite(scene.membrane_compression_limit).any())
+        if self.folds:
+            values["limit"] = area * np.minimum(scene.membrane_compression_limit, NO_LIMIT)
         self.triangle = fields.table({**types, **dict.fromkeys(values, real)}, self.count, {**data, **values})
         vector = ti.types.vector(3, real)
         self.state = fields.table({"u": vector, "v": vector, "stress": vector}, self.count)
+        if self.folds:
+            self.give = fields.table({"share": real, "across": vector, "turn": vector}, self.count)
         self.scatters = model.serial and not np.isfinite(scene.break_strain).any()
         if self.scatters:
             four = ti.types.vector(padded_blocks.width(3), real)
@@ -60,17 +68,6 @@ class Membranes(Corners):
         """Columns u and v of sum_k x_k g_k^T for vectors a, b, c at the corners."""
         p, q = b - a, c - a
         return p * of.bu + q * of.cu, p * of.bv + q * of.cv
-
-    @ti.func
-    def _stress(self, strain, of):
-        """Stress (S_uu, S_vv, S_uv) times the area [N m] of a strain (E_uu, E_vv, 2 E_uv)."""
-        return ti.Vector(
-            [
-                of.warp * strain[0] + of.coupling * strain[1],
-                of.weft * strain[1] + of.coupling * strain[0],
-                of.shear * strain[2],
-            ]
-        )
 
     @ti.func
     def _parts(self, u, v, of):
@@ -108,9 +105,12 @@ class Membranes(Corners):
     @ti.func
     def _whole_stress(self, ball: ti.template(), u, v, of):
         """Stress of the strain and of its rate, times the area."""
-        stress = self._stress(self._strain(u, v), of)
+        strain = self._strain(u, v)
+        stress = elastic(strain, of)
+        if ti.static(self.folds):
+            stress = folded(strain, of)[0]
         if ti.static(self.damped):
-            stress += of.damping * self._stress(self._rate(ball, u, v, of), of)
+            stress += of.damping * elastic(self._rate(ball, u, v, of), of)
         return stress
 
     @ti.func
@@ -153,7 +153,10 @@ class Membranes(Corners):
         of = self.triangle[row.place // 3]
         u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
         strain = self._strain(u, v)
-        return ti.cast(strain.dot(self._stress(strain, of)), real) / 6.0
+        energy = 0.5 * strain.dot(elastic(strain, of))
+        if ti.static(self.folds):
+            energy = folded(strain, of)[1]
+        return ti.cast(energy, real) / 3.0
 
     @ti.func
     def corner_loss(self, ball: ti.template(), i, row, real: ti.template()):
@@ -163,7 +166,7 @@ class Membranes(Corners):
             of = self.triangle[row.place // 3]
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
             rate = self._rate(ball, u, v, of)
-            loss = ti.cast(of.damping / 6.0, real) * ti.cast(rate.dot(self._stress(rate, of)), real)
+            loss = ti.cast(of.damping / 6.0, real) * ti.cast(rate.dot(elastic(rate, of)), real)
         return loss
 
     def allocate_derivatives(self, fields: Fields) -> None:
@@ -182,11 +185,18 @@ class Membranes(Corners):
             self.state[t].u = ti.cast(u, float)
             self.state[t].v = ti.cast(v, float)
             self.state[t].stress = ti.cast(tensile(self._whole_stress(ball, u, v, of)), float)
+            if ti.static(self.folds):
+                _, _, share, across, turn = folded(self._strain(u, v), of)
+                self.give[t].share = ti.cast(share, float)
+                self.give[t].across = ti.cast(across, float)
+                self.give[t].turn = ti.cast(turn, float)
 
     @ti.func
-    def _factor(self, of, s):
-        """Factor of the material's part of s^2 K + s D [s^2]."""
+    def _factor(self, t, of, s):
+        """Factor of C in the material's part of s^2 K + s D [s^2]."""
         factor = s * s
+        if ti.static(self.folds):
+            factor *= self.give[t].share
         if ti.static(self.damped):
             factor += s * of.damping
         return factor
@@ -199,7 +209,10 @@ class Membranes(Corners):
             du, dv = self._slope(ball[of.a].p, ball[of.b].p, ball[of.c].p, of)
             u, v, now = state.u, state.v, s * s * state.stress
             change = ti.Vector([u.dot(du), v.dot(dv), u.dot(dv) + v.dot(du)])
-            stress = self._factor(of, s) * self._stress(change, of)
+            stress = self._factor(t, of, s) * elastic(change, of)
+            if ti.static(self.folds):
+                across, turn = self.give[t].across, self.give[t].turn
+                stress -= s * s * (across * across.dot(change) + turn * turn.dot(change))
             one = u * stress[0] + v * stress[2] + du * now[0] + dv * now[2]
             other = v * stress[1] + u * stress[2] + dv * now[1] + du * now[2]
             self._give(self.given, t, self._parts(-one, -other, of))
@@ -222,7 +235,13 @@ class Membranes(Corners):
         )
         block += (of.coupling + of.shear) * uv * (u.outer_product(v) + v.outer_product(u))
         pull = state.stress[0] * uu + state.stress[1] * vv + 2.0 * state.stress[2] * uv
-        return self._factor(of, s) * block + s * s * pull * ti.Matrix.identity(float, 3)
+        block = self._factor(row.place // 3, of, s) * block + s * s * pull * ti.Matrix.identity(float, 3)
+        if ti.static(self.folds):
+            one, other = self.give[row.place // 3].across, self.give[row.place // 3].turn
+            for w in ti.static((one, other)):
+                along = (w[0] * g[0] + w[2] * g[1]) * u + (w[1] * g[1] + w[2] * g[0]) * v
+                block -= s * s * along.outer_product(along)
+        return block
 
 
 @ti.func

@@ -30,6 +30,7 @@ class MembraneMethods:
     membrane_shear = Column("membranes", "shear", "(t,) N/m")
     membrane_coupling = Column("membranes", "coupling", "(t,) N/m")
     membrane_damping = Column("membranes", "damping", "(t,) s")
+    membrane_compression_limit = Column("membranes", "compression_limit", "(t,) N/m; inf: none")
 
     def add_membranes(
         self: Any,
@@ -40,6 +41,7 @@ class MembraneMethods:
         shear: ArrayLike | None = None,
         coupling: ArrayLike = 0.0,
         damping: ArrayLike = 0.0,
+        compression_limit: ArrayLike | None = None,
         rest: ArrayLike | None = None,
     ) -> NDArray[np.int32]:
         """Add t triangles of an orthotropic St. Venant-Kirchhoff membrane in 3D and return their indices, shape (t,).
@@ -54,6 +56,8 @@ class MembraneMethods:
             weft: the same along the weft [N/m]; the warp's by default.
             shear: force per width and angle of shear [N/m]; by default (warp - coupling) / 2, that of an isotropic sheet.
             coupling: force per width along the weft, and strain along the warp [N/m]; its square is at most warp times weft.
+            compression_limit: force per width of compression at which a triangle gives way, as a sheet that folds below its size,
+                see `physics.md`; at least 0, None or inf: never [N/m].
             damping: time by which stresses of the rate of strain are those of strain, one or one per triangle, >= 0 [s].
             rest: (t, 3, 2) corners at rest in the plane of the fabric, u along the warp [m]; None: the present shape, its warp
                 along the first two corners.
@@ -76,6 +80,7 @@ class MembraneMethods:
         if shear is None and np.any(one != other):
             raise SceneError("membranes.shear", says="is missing; only where warp and weft are alike it has a default")
         columns.setdefault("shear", 0.5 * (one - both))
+        columns["compression_limit"] = validation.limits("membranes.compression_limit", compression_limit, t, low=0)
         return self.tables["membranes"].append(t, corners=ij, rest=flat, coupling=both, **columns)  # type: ignore[no-any-return]
 
 
@@ -99,9 +104,52 @@ def flattened(x: Floats, direction: Floats | None = None) -> Floats:
     return np.einsum("tki,tia->tka", x - x[:, :1], axes)
 
 
+def folded_energy(strain: Floats, law: Floats, limit: Floats) -> Floats:
+    """Energy per area at rest (t,) [N/m] of strains (t, 3), E_uu, E_vv and 2 E_uv, by the laws C (t, 3, 3) [N/m] of sheets that
+    fold where their compression is above a limit (t,) [N/m]; see forces/folding.py, which says why."""
+    stress = np.einsum("tij,tj->ti", law, strain)
+    energy = 0.5 * np.sum(strain * stress, axis=1)
+    mean, half = 0.5 * (stress[:, 0] + stress[:, 1]), 0.5 * (stress[:, 0] - stress[:, 1])
+    (gives,) = np.nonzero(mean - np.hypot(half, stress[:, 2]) < -limit)
+    if not len(gives):
+        return energy
+    strain, law, limit, stress = strain[gives], law[gives], limit[gives], stress[gives]
+    starts = [
+        np.full(len(gives), a) for a in np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    ]  # twice the angles of directions
+    starts.append(np.arctan2(-stress[:, 2], -half[gives]))  # of the least principal stress
+    gain = [_fold_terms(angle, stress, law, limit)[0] for angle in starts]
+    best = np.array(starts)[np.argmax(gain, axis=0), np.arange(len(gives))]
+    for _ in range(6):  # of Newton's method
+        _, slope, rise = _fold_terms(best, stress, law, limit)
+        best -= np.clip(slope / np.maximum(np.abs(rise), 1e-300), -0.2, 0.2)
+    less = energy[gives] - 0.5 * _fold_terms(best, stress, law, limit)[0]
+    det = law[:, 0, 0] * law[:, 1, 1] - law[:, 0, 1] ** 2
+    one, other = limit * (law[:, 1, 1] - law[:, 0, 1]), limit * (law[:, 0, 0] - law[:, 0, 1])
+    u, v, uv = -(one + det * strain[:, 0]), -(other + det * strain[:, 1]), -0.5 * det * strain[:, 2]
+    crushed = (u > 0) & (v > 0) & (u * v > uv * uv)
+    flat = -limit * (strain[:, 0] + strain[:, 1] + 0.5 * (one + other) / np.where(crushed, det, 1.0))
+    energy[gives] = np.where(crushed, flat, less)
+    return energy
+
+
+def _fold_terms(angle: Floats, stress: Floats, law: Floats, limit: Floats) -> tuple[Floats, Floats, Floats]:
+    """Twice the energy that folds take off along directions by twice their angles; what is 0 where that is greatest, and its
+    derivative."""
+    c, s = np.cos(angle), np.sin(angle)
+    along, beside = np.stack([0.5 + 0.5 * c, 0.5 - 0.5 * c, s], axis=1), np.stack([-0.5 * s, 0.5 * s, c], axis=1)
+    bent = np.stack([-0.5 * c, 0.5 * c, -s], axis=1)
+    stiff, turned = (np.einsum("tij,tj->ti", law, w) for w in (along, beside))
+    p, q, dq = (np.sum(a * b, axis=1) for a, b in ((along, stiff), (along, stress), (beside, stress)))
+    q = q + limit
+    kappa = np.sum(beside * stiff, axis=1)
+    rise = np.sum(bent * stress, axis=1) * p + dq * kappa - q * np.sum(beside * turned + bent * stiff, axis=1)
+    return np.where(q < 0, q * q / np.maximum(p, 1e-300), 0.0), dq * p - q * kappa, rise
+
+
 class _Membranes(Columns, Element):
     name, method, counted = "membranes", "add_membranes", ("corners",)
-    assumed: ClassVar = {"damping": 0.0}
+    assumed: ClassVar = {"damping": 0.0, "compression_limit": np.inf}
     is_implicit = excludes_contact = True
     work = 2
     features: ClassVar = {"damping of membranes": lambda scene: np.any(scene.membrane_damping > 0)}
@@ -113,9 +161,11 @@ class _Membranes(Columns, Element):
     def energies(self, scene: Any, x: Floats, whole: NDArray[np.bool_]) -> list[float]:
         f, area = self.gradients(scene, x), shape_gradients(scene.membrane_rest)[1]
         e = 0.5 * (np.einsum("tia,tib->tab", f, f) - np.eye(2))
-        u, v, uv = e[:, 0, 0], e[:, 1, 1], e[:, 0, 1]
-        stored = 0.5 * (scene.membrane_warp * u * u + scene.membrane_weft * v * v)
-        stored += scene.membrane_coupling * u * v + 2.0 * scene.membrane_shear * uv * uv
+        law = np.zeros((len(e), 3, 3))
+        law[:, 0, 0], law[:, 1, 1], law[:, 2, 2] = scene.membrane_warp, scene.membrane_weft, scene.membrane_shear
+        law[:, 0, 1] = law[:, 1, 0] = scene.membrane_coupling
+        strain = np.stack([e[:, 0, 0], e[:, 1, 1], 2.0 * e[:, 0, 1]], axis=1)
+        stored = folded_energy(strain, law, scene.membrane_compression_limit)
         return [float(np.sum((area * stored)[whole]))]
 
     def stiffness(self, scene: Any) -> list[Quadratic]:

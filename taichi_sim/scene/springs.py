@@ -58,7 +58,7 @@ class SpringMethods:
             "pairs": ij,
             **validation.amounts("springs", m, stiffness=stiffness, damping=damping, **optional),
             "collides": validation.flags("springs.collides", collides, m),
-            "break_strain": validation.strains("springs.break_strain", break_strain, m),
+            "break_strain": validation.limits("springs.break_strain", break_strain, m, positive=True),
         }
         if rest_length is None:
             columns["rest_length"] = np.linalg.norm(self.position[ij[:, 1]] - self.position[ij[:, 0]], axis=1)
@@ -116,7 +116,7 @@ class SpringMethods:
         given = validation.given(stiffness=stiffness, damping=damping, rest_length=rest_length)
         new = validation.amounts("springs", k, **given)
         if break_strain is not None:
-            new["break_strain"] = validation.strains("springs.break_strain", break_strain, k)
+            new["break_strain"] = validation.limits("springs.break_strain", break_strain, k, positive=True)
         _may_tear(
             self.collides[index],
             new.get("break_strain", self.break_strain[index]),

@@ -75,6 +75,7 @@ def cloth(
     poisson_ratio: float | None = None,
     thickness: float | None = None,
     damping: float | None = None,
+    folds: bool = False,
     radius: float | None = None,
     velocity: Sequence[float] | None = None,
     pinned: Pins = False,
@@ -122,6 +123,8 @@ def cloth(
             with the threads of that fabric.
         young_modulus: of a sheet of triangles that is alike in all directions [Pa]; thickness: of it [m], which times the
             density of a preset is its mass per area; poisson_ratio: of it, 0.3 by default [1].
+        folds: triangles give way to compression as a sheet that folds below their size, so that a coarse cloth drapes as a
+            fine one does.
         damping: of each spring [N s/m]; in a material of the sheet, shared out as the stretch stiffness is; of triangles, force
             per width and rate of strain along the warp [N s/m].
         radius: of each ball [m]; 0.45 of the smaller spacing, or 0.4 of the mean edge of a mesh; 5/9 of that with the next.
@@ -185,11 +188,13 @@ def cloth(
     spacing *= factor
     ball_radius = or_default("cloth.radius", radius, (0.45 if grid is not None else 0.4) * thinner * spacing)
     drag = at_least_0("cloth.damping", damping)
+    if validation.flags("cloth.folds", folds, 1)[0] and weave is None:
+        raise SceneError("cloth.folds", says="is for a cloth of triangles; give warp, warp_angle or young_modulus")
     if drag and weave is not None and weave.warp == 0:
         raise SceneError("cloth.damping", says="acts along the warp as its stiffness does; give a warp above 0")
     strength = 0.0
     masses: float | NDArray = total
-    rest = None
+    rest = limit = None
     if weave is not None:
         angle = 0.0 if warp_angle is None else np.radians(validation.number("cloth.warp_angle", warp_angle))
         made = cloth_material.Fabric(
@@ -199,6 +204,7 @@ def cloth(
         whole = meshes.Surface(surface.vertices * factor, surface.triangles)
         parts = cloth_material.of_triangles(whole, None if grid is None else (grid[1], grid[2] * factor), made)
         rest = cloth_material.along_warp(whole, angle)
+        limit = cloth_material.folding_limit(rest, made) if folds else None
         time = spacing * DAMPING_RATIO * np.sqrt(made.mass_per_area / made.stretch) if made.stretch > 0 else 0.0
         if drag is not None:
             time = drag / weave.warp if drag > 0 else 0.0
@@ -243,7 +249,7 @@ def cloth(
             scene, "cloth", surface.vertices, kinds, surface.triangles, part, strength, drag, made_of=made_of, **more
         )
         if weave is not None:
-            scene.add_membranes(shape.triangles, **weave._asdict(), damping=time, rest=rest)
+            scene.add_membranes(shape.triangles, **weave._asdict(), damping=time, compression_limit=limit, rest=rest)
     return shape
 
 

@@ -25,6 +25,7 @@ __all__ = [
     "along_warp",
     "diagonals",
     "evened",
+    "folding_limit",
     "of_mesh",
     "of_sheet",
     "of_triangles",
@@ -102,6 +103,13 @@ def along_warp(surface: Surface, angle: float) -> NDArray[np.float64]:
     """Corners (t, 3, 2) [m] of triangles in their planes, u along a warp that lies `angle` [rad] from x toward z."""
     x = surface.vertices[surface.triangles]
     return flattened(x, warp_directions(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), angle))
+
+
+def folding_limit(rest: NDArray, fabric: Fabric) -> NDArray[np.float64]:
+    """Compression (t,) [N/m] at which triangles with corners (t, 3, 2) [m] at rest give way: Euler's load, pi^2 B / L^2, of a
+    strip as long as a square of twice their area is wide, by the smaller bending rigidity B."""
+    twice = np.abs(np.linalg.det(rest[:, 1:] - rest[:, :1]))
+    return np.asarray(np.pi**2 * min(fabric.rigidity, fabric.weft_rigidity) / twice)
 
 
 def _borders(number: tuple[int, int]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -64,7 +64,7 @@ def lost(scene, kind, v):
     if kind == "bends":
         bend, rate = (np.einsum("bk,bki->bi", scene.bend_weights, one[scene.bends]) for one in (x, v))
         return scene.bend_damping @ (np.sum(bend * rate, axis=1) / np.linalg.norm(bend, axis=1)) ** 2
-    if kind == "membranes":
+    if "membranes" in kind:
         f, df = (MEMBRANES.gradients(scene, one) for one in (x, v))
         e = np.swapaxes(f, 1, 2) @ df
         a, b, ab = e[:, 0, 0], e[:, 1, 1], e[:, 0, 1] + e[:, 1, 0]

@@ -70,9 +70,13 @@ def _crushed_cells(scene, at, corners, damping):
     scene.add_cells(at[corners], bulk_modulus=bulk, crush_modulus=2.0 * bulk, together=together)
 
 
-def _membranes(scene, at, corners, damping):
+def _membranes(scene, at, corners, damping, **more):
     law = {"warp": 30.0, "weft": 12.0, "shear": 4.0, "coupling": 7.0}
-    scene.add_membranes(at[corners[:, :3]], damping=0.1 * damping, **law)
+    scene.add_membranes(at[corners[:, :3]], damping=0.1 * damping, **law, **more)
+
+
+def _folded_membranes(scene, at, corners, damping):
+    _membranes(scene, at, corners, damping, compression_limit=_by_turns(corners, 0.0, 0.3))
 
 
 def _solids(scene, at, corners, damping):
@@ -91,13 +95,14 @@ ADD = {
     "cells": _cells,
     "crushed cells": _crushed_cells,
     "membranes": _membranes,
+    "folded membranes": _folded_membranes,
     "bricks": _bricks,
     "solids": _solids,
 }
 
 
 def kinds(dim: int) -> list[str]:
-    return [kind for kind in ADD if dim == 3 or kind != "membranes"]
+    return [kind for kind in ADD if dim == 3 or "membranes" not in kind]
 
 
 def add_block(scene: ts.Scene, kind: str, off: float, damping: float = 0.0, place: float = 0.0) -> np.ndarray:
