@@ -1,4 +1,4 @@
-"""Fields: one tree of Taichi fields that is declared piece by piece, filled once, and freed as a whole."""
+"""Fields: trees of Taichi fields that are declared piece by piece, filled once, and freed as a whole."""
 
 import weakref
 from collections.abc import Callable
@@ -15,6 +15,7 @@ from taichi_sim.device.trees import Tree, drop, forget, kept, lead, take, take_b
 
 __all__ = ["NUMPY_TYPES", "Fields", "fill"]
 
+MOST_NODES = 1024  # of a tree, in Taichi: a root, and for each field or column one and one for each number of an entry
 NUMPY_TYPES = {ti.i32: np.int32, ti.f32: np.float32, ti.f64: np.float64}
 
 
@@ -26,7 +27,8 @@ def fill(field: Any, values: NDArray) -> None:
 class Fields:
     """Collects fields with their first values; `build()` allocates and fills them, `free()` gives the memory back.
 
-    Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation. What is freed
+    Taichi frees memory only by whole trees, and a process holds few hundred of them: so one per simulation, or several where
+    Taichi's limit of nodes in a tree asks for them. What is freed
     serves later fields of the same types and lengths, see `trees`: as long as what is declared is like a freed tree's fields,
     these are handed out, because Taichi takes half a millisecond to make one. A field that would be empty gets one unused
     element, because Taichi has no empty fields.
@@ -41,7 +43,8 @@ class Fields:
         self._alike = kept()  # trees that begin like what is declared
         if on is not None and on._tree is not None:
             self._alike.append(on._tree)
-        self._builder: Any = None  # once there is none
+        self._builders: list[Any] = []  # of a tree each, once there is no tree to take over
+        self._nodes = MOST_NODES  # in the last one
         self._declared: list[Any] = []
         self._makers: list[Callable[[], Any]] = []  # of a new field for each
         self._layout: list[tuple[Any, ...]] = []  # type, length and way of storage of each
@@ -72,17 +75,25 @@ class Fields:
 
     def _begin_new(self) -> None:
         """Make fields for all that were declared so far."""
-        if self._builder is None:
-            self._builder = ti.FieldsBuilder()
+        if not self._builders:
+            self._add_builder()
             for number, field in enumerate(self._declared):
                 lead(field, self._new(number))
+
+    def _add_builder(self) -> None:
+        self._builders.append(ti.FieldsBuilder())
+        self._nodes = 1  # its root
 
     def _new(self, number: int) -> Any:
         """A new field in place of the one declared with this number."""
         _, n, by_column = self._layout[number]
         field = self._makers[number]()
         for part in [field.get_member_field(name) for name in field.keys] if by_column else [field]:
-            self._builder.dense(ti.i, n).place(part)
+            nodes = 1 + len(part._get_field_members())
+            if self._nodes + nodes > MOST_NODES:
+                self._add_builder()
+            self._nodes += nodes
+            self._builders[-1].dense(ti.i, n).place(part)
         return field
 
     @property
@@ -206,12 +217,12 @@ class Fields:
     def build(self) -> None:
         """Allocate everything, or take over what was freed of the same layout, and copy the first values in."""
         others = None if self._on is None else self._on._released()
-        self._tree = take(self.layout, self._declared, self._builder, others)
+        self._tree = take(self.layout, self._declared, self._builders, others)
         if others is not None and self._tree is not others:
             take_back(others)
         if self._tree is None:
             self._begin_new()
-            self._tree = Tree(self.layout, self._declared, self._builder, self.bytes)
+            self._tree = Tree(self.layout, self._declared, self._builders, self.bytes)
         for number, data in self._first:
             copy_in(self._tree.fields[number], data)
         self._first.clear()
@@ -222,8 +233,8 @@ class Fields:
 
     def abandon(self) -> None:
         """Undo a construction that failed: a builder left open would make every later simulation fail."""
-        if self._tree is None and self._builder is not None:
-            forget(self._builder)
+        if self._tree is None:
+            forget(self._builders)
         self.free()
 
     @property

@@ -23,9 +23,9 @@ class Tree:
     """Allocated fields. `fields` mean the memory of those declared, which are handed out: the owner's may be changed, and these
     stay, known to Taichi's own kernels that copy into them."""
 
-    def __init__(self, layout: tuple[Any, ...], declared: list[Any], builder: Any, size: int) -> None:
+    def __init__(self, layout: tuple[Any, ...], declared: list[Any], builders: list[Any], size: int) -> None:
         self.layout, self.bytes = layout, size
-        self._tree = builder.finalize()
+        self._trees = [builder.finalize() for builder in builders]
         ti.lang.impl.get_runtime().materialize()  # fields learn where their entries lie
         self._program = program()
         self.fields = [twin(field) for field in declared]
@@ -66,7 +66,8 @@ class Tree:
     def destroy(self) -> None:
         """Give the memory back; all kernels of the process are compiled again when they run next."""
         self._memory.free()
-        self._tree.destroy()
+        for tree in self._trees:
+            tree.destroy()
         forget_launches()
 
 
@@ -78,16 +79,17 @@ def kept() -> list[Tree]:
     return list(_kept)
 
 
-def take(layout: tuple[Any, ...], declared: list[Any], builder: Any, released: Tree | None = None) -> Tree | None:
-    """A tree of this layout, `released` or one that was freed, zero, lent to the declared fields in place of what their builder
+def take(
+    layout: tuple[Any, ...], declared: list[Any], builders: list[Any], released: Tree | None = None
+) -> Tree | None:
+    """A tree of this layout, `released` or one that was freed, zero, lent to the declared fields in place of what their builders
     would make; None where there is none."""
     free = [*kept(), *[released] * (released is not None)]
     tree = next((tree for tree in reversed(free) if tree.layout == layout), None)
     if tree is not None:
         if tree is not released:
             _kept.remove(tree)
-        if builder is not None:
-            forget(builder)
+        forget(builders)
         tree.lend(declared)
         tree.clear()
     return tree
@@ -105,10 +107,13 @@ def drop(tree: Tree) -> None:
     _dropped.append(tree)
 
 
-def forget(builder: Any) -> None:
-    """Remove a builder whose fields nobody will use from what the engine waits for."""
+def forget(builders: list[Any]) -> None:
+    """Remove builders whose fields nobody will use from what the engine waits for."""
+    if not builders:
+        return
     runtime = ti.lang.impl.get_runtime()
-    runtime.unfinalized_fields_builder.pop(builder, None)
+    for builder in builders:
+        runtime.unfinalized_fields_builder.pop(builder, None)
     for waiting in (runtime.global_vars, runtime.grad_vars, runtime.dual_vars, runtime.matrix_fields):
         waiting.clear()
 

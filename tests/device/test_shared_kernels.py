@@ -205,6 +205,30 @@ def test_fields_that_are_given_up_leave_nothing_behind():
     fields.free()
 
 
+def test_more_fields_than_a_tree_of_the_engine_has_room_for():
+    """450 fields of vectors are 1800 nodes, of 1024; what is freed is taken over as a whole."""
+
+    def fill_all(first):
+        fields = Fields(ti.f32)
+        held = [fields.reals(np.full((2, 3), first + k)) for k in range(450)]
+        fields.build()
+        return fields, held
+
+    fields, held = fill_all(1.0)
+    assert [one.to_numpy()[1, 2] for one in held] == [1.0 + k for k in range(450)]
+    fields.free()
+    given = trees._kept[-1]
+    fields, held = fill_all(3.0)
+    assert fields._tree is given
+    assert [one.to_numpy()[1, 2] for one in held] == [3.0 + k for k in range(450)]
+    given_up = Fields(ti.f32)
+    for _ in range(450):
+        given_up.vectors(4, 3)
+    given_up.abandon()
+    assert len(ti.lang.impl.get_runtime().unfinalized_fields_builder) == 1  # the engine's own
+    fields.free()
+
+
 def test_kernels_run_when_all_were_dropped_with_a_destroyed_tree():
     """What is compiled anew often gets the address of what was dropped, by which Quadrants 1.4.0 keeps what to launch."""
     fields, part = made([1.0, 2.0], factor=4.0)
