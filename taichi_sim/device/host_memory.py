@@ -39,7 +39,7 @@ def seen(field: Any) -> NDArray | None:
 
 
 class HostMemory:
-    """The memory of one tree of fields, each of which is given a view of its own. It is seen until it is freed."""
+    """The memory of trees of fields, each of which is given a view of its own. It is seen until it is freed."""
 
     def __init__(self, fields: Iterable[Any]) -> None:
         self._program: Any = None
@@ -51,10 +51,13 @@ class HostMemory:
         _install()
         own = [one for field in fields for one in _without_structs(field)]
         self._program = program()
-        self._root = int(_address(own[0])) - _offset(own[0].snode.ptr)
+        roots: dict[int, int] = {}  # addresses, by the number of the tree
         for field in own:
+            tree = field.snode.ptr.get_snode_tree_id()
+            if tree not in roots:
+                roots[tree] = int(_address(field)) - _offset(field.snode.ptr)
             if field.dtype in NUMPY_TYPES:
-                self._show(field)
+                self._show(field, roots[tree])
 
     @property
     def alive(self) -> bool:
@@ -70,14 +73,14 @@ class HostMemory:
         """The memory goes back."""
         self._program = None
 
-    def _show(self, field: Any) -> None:
+    def _show(self, field: Any, root: int) -> None:
         """Give a field, of numbers or of matrices of them, its view."""
         dtype = np.dtype(NUMPY_TYPES[field.dtype])
         places = [_offset(one.ptr.snode()) for one in field._get_field_members()]
         assert places == [places[0] + k * dtype.itemsize for k in range(len(places))]  # one entry lies together
         n, step = field.shape[0], field.snode.parent()._cell_size_bytes
         length = (n - 1) * step + len(places) * dtype.itemsize
-        memory = (ctypes.c_char * length).from_address(self._root + places[0])
+        memory = (ctypes.c_char * length).from_address(root + places[0])
         columns: NDArray = np.ndarray((n, len(places)), dtype, memory, strides=(step, dtype.itemsize))
         view = columns[:, 0]
         if isinstance(field, ti.MatrixField):
