@@ -47,7 +47,8 @@ class Moments:
             [name for name in ("impulse", "tangential_impulse", "load") if name in getattr(field, "keys", [])]
             for field in self.live
         ]
-        self.whole = {f"counter.{k}": field for k, field in enumerate(integrator.counters())}  # stored as they are now
+        self.counters = {f"counter.{k}": field for k, field in enumerate(integrator.counters())}
+        self.whole = dict(self.counters)  # stored as they are now
         self.h = [0.0] * (count + 1)
 
     def _hold(self, contacts: ContactRule) -> None:
@@ -134,6 +135,19 @@ class Moments:
     def remember(self, out: int) -> None:
         """Load only a method's own memory, from a moment."""
         self._remember(out)
+
+    def counts(self) -> dict[str, NDArray]:
+        """What the method has counted so far, as `arrays` names it."""
+        return {
+            key: values
+            for name, field in self.counters.items()
+            for key, values in named(name, field.to_numpy()).items()
+        }
+
+    def recount(self, counts: Mapping[str, NDArray]) -> None:
+        """Return to what `counts` gave."""
+        for name, field in self.counters.items():
+            field.from_numpy(unnamed(name, field.to_numpy(), counts))
 
     # To a file and back ----------------------------------------------------------------------------------------------
 

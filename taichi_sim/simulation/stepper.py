@@ -106,6 +106,7 @@ class Stepper:
         self.steps, self.begin = round(time / self.dt), 0.0
         if abs(self.time - time) > 1e-9 * time:
             self.steps, self.begin = 0, time
+        self.mark = self.end = self.steps
         self.policy.forget()
 
     # Moving on -----------------------------------------------------------------------------------------------------
@@ -167,8 +168,9 @@ class Stepper:
         self._note()
 
     def _note(self) -> None:
-        """Keep what is known of watched substeps with the state that is kept."""
+        """Keep what is known of watched substeps, and what the method has counted, with the state that is kept."""
         self.watched = [self.kinetic, self.gained, *self.division.counts()]
+        self.counts = self.parts.moments.counts()
 
     def new_chunk(self) -> None:
         """Begin a chunk, the steps that run before the state is checked again, with this step, from the state last kept."""
@@ -208,9 +210,10 @@ class Stepper:
         self._take_back()
 
     def _take_back(self) -> None:
-        """Return to what was known of watched substeps when the state was kept."""
+        """Return to what was known and counted when the state was kept."""
         self.kinetic, self.gained, *counts = self.watched
         self.division.put_back(counts)
+        self.parts.moments.recount(self.counts)
 
     def run_to(self, target: int) -> StateSample:
         """Run up to a number of steps. Where contacts did not fit, run from what is kept again with more room, to the same bits
@@ -276,7 +279,7 @@ class Stepper:
             **self.checks.stored(),
             **self.policy.stored(),
         }
-        return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored())
+        return replace(parts.snapshot(), time=self.time, stepping=stepping, memory=parts.stored() | self.counts)
 
     def _kind(self) -> str:
         """Settings that a run depends on besides the scene and what is kept: none with other settings has the same bits."""
@@ -337,6 +340,7 @@ class Stepper:
         self.parts.put_back(snapshot.memory, snapshot.stepping["h"])
         for name, value in values.items():
             setattr(self if name in self.saved else self.policy, name, value)
+        self.counts = self.parts.moments.counts()
         self.checks.put_back(snapshot.stepping)
         self.parts.set_step(self.h, holds=False)
         monitored = _monitored(snapshot.stepping["monitor"])

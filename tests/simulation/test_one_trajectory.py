@@ -152,6 +152,45 @@ def interrupt_launch(patched, number):
     patched.setattr(parts, "repeated", interrupted)
 
 
+@pytest.mark.once
+def test_a_run_is_saved_between_a_new_step_and_the_first_of_it(tmp_path):
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    scene.add_balls([(0, 0), (0.1, -1)], radius=0.01, pinned=[True, False])
+    scene.add_springs([[0, 1]], stiffness=700.0, damping=3.0)
+    with simulate(scene, dt=1e-3, contacts="off") as sim, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sim.step(7)
+        sim.set_dt(4e-4)
+        sim.save(tmp_path / "state.npz")
+        sim.resume(sim.snapshot())
+        sim.step(21)
+        with ts.Simulation.restore(tmp_path / "state.npz", dt=3e-4) as other:
+            other.save(tmp_path / "other.npz")
+        with ts.Simulation.restore(tmp_path / "state.npz") as other:
+            other.step(21)
+            assert np.array_equal(other.position, sim.position)
+        with ts.Simulation.restore(tmp_path / "other.npz") as other:
+            assert other.time == pytest.approx(7e-3)
+
+
+@pytest.mark.once
+def test_what_is_run_again_from_a_saved_state_is_counted_once():
+    scene = ts.Scene(dim=2, gravity=(0, -10))
+    ts.shapes.jelly(scene, (0.2, 0.2), (3, 3), material="rubber", position=(0, 0.02))
+    scene.add_wall((0, 1), 0.0)
+    with simulate(scene, integrator="implicit_euler", dt=0.01) as sim:
+        start = sim.snapshot()
+        sim.step(19)
+        whole = sim.solver()
+        sim.resume(start)
+        sim.step(12)
+        halfway = sim.snapshot()
+        sim.step(3)
+        sim.resume(halfway)
+        sim.step(7)
+        assert sim.solver() == whole
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("saves", [False, True])
 @pytest.mark.long_in("f64")
