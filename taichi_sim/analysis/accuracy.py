@@ -12,6 +12,7 @@ from taichi_sim.analysis import (
     coarse_meshes,
     contact_loads,
     late_impacts,
+    lumped_inertia,
     near_at_rest,
     rebounds,
     shared_loads,
@@ -105,6 +106,7 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
         *coarse_meshes.bent_findings(scene),
         *coarse_meshes.few_across(scene),
         *coarse_meshes.beyond_bricks(scene),
+        *lumped_inertia.sluggish(scene),
     ):
         yield Finding("mesh", what, cure)
     yield from _turning(scene, setup)

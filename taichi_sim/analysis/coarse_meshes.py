@@ -26,7 +26,7 @@ from taichi_sim.scene.objects import SceneObject, owner
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes.jelly_material import boxes_in, skin_of_boxes
 
-__all__ = ["bent_findings", "beyond_bricks", "few_across", "ropes"]
+__all__ = ["bent_findings", "beyond_bricks", "few_across", "in_common", "objects_of", "ropes"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -67,7 +67,7 @@ def bent_findings(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def beyond_bricks(scene: Scene) -> Iterator[tuple[str, str]]:
     """Sentence and cure for each mesh that is drawn farther out than the bricks that move it reach."""
-    of = _objects(scene)
+    of = objects_of(scene)
     place = {row.tobytes(): k for k, row in enumerate(scene.bricks)} if scene.embedded_surfaces else {}
     for surface in scene.embedded_surfaces:
         brick = np.array([place.get(row.tobytes(), -1) for row in surface.corners])
@@ -111,7 +111,7 @@ def ropes(scene: Scene) -> list[SceneObject]:
     """Objects of three balls or more that springs join one behind the other and in no other way, whatever they are called."""
     if not scene.n_springs:
         return []
-    of = _objects(scene)
+    of = objects_of(scene)
     low, high = np.sort(scene.pairs, axis=1).astype(np.int64).T
     number = np.bincount(1 + np.where(of[low] == of[high], of[low], -1), minlength=len(scene.objects) + 1)[1:]
     in_row = number == [len(one.balls) - 1 for one in scene.objects]
@@ -125,7 +125,7 @@ def ropes(scene: Scene) -> list[SceneObject]:
     return found
 
 
-def _objects(scene: Scene) -> NDArray[np.int64]:
+def objects_of(scene: Scene) -> NDArray[np.int64]:
     """Number of the object that each ball (n,) belongs to, or -1."""
     of = np.full(scene.n_balls, -1)
     for k, one in enumerate(scene.objects):
@@ -133,7 +133,7 @@ def _objects(scene: Scene) -> NDArray[np.int64]:
     return of
 
 
-def _common(of: NDArray[np.int64]) -> NDArray[np.int64]:
+def in_common(of: NDArray[np.int64]) -> NDArray[np.int64]:
     """Object (e,) that all balls of an element have in common, or -1; of: that of each ball (e, k)."""
     return np.where((of == of[:, :1]).all(axis=1), of[:, 0], -1)
 
@@ -207,14 +207,14 @@ def _angles(one: Floats, other: Floats) -> Floats:
 
 def few_across(scene: Scene) -> Iterator[tuple[str, str]]:
     """Sentence and cure for each body of solids, or of boxes of springs, with so few of them across that it bends too little."""
-    of = _objects(scene)
-    bodies = _common(of[scene.solids])
+    of = objects_of(scene)
+    bodies = in_common(of[scene.solids])
     for k in np.unique(bodies[bodies >= 0]):
         yield from _solids_in_words(scene, scene.objects[k].name, np.flatnonzero(bodies == k))
     if not len(scene.cells) or not scene.n_springs:
         return
-    acting = np.where(scene.stiffness > 0.0, _common(of[scene.pairs]), -1)
-    bodies, springs_of = _common(of[scene.cells]), np.argsort(acting, kind="stable")
+    acting = np.where(scene.stiffness > 0.0, in_common(of[scene.pairs]), -1)
+    bodies, springs_of = in_common(of[scene.cells]), np.argsort(acting, kind="stable")
     first = np.searchsorted(acting[springs_of], np.arange(len(scene.objects) + 1))
     for k in np.unique(bodies[bodies >= 0]):
         one, cells, springs = scene.objects[k], bodies == k, springs_of[first[k] : first[k + 1]]

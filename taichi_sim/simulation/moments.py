@@ -137,7 +137,7 @@ class Moments:
         self._remember(out)
 
     def counts(self) -> dict[str, NDArray]:
-        """What the method has counted so far, as `arrays` names it."""
+        """Counts of the method so far, as `arrays` names them."""
         return {
             key: values
             for name, field in self.counters.items()
