@@ -64,8 +64,8 @@ class Division:
 
     def put_back(self, known: Sequence[float]) -> None:
         """Go on from what is `known`, in fields that are primed for whole substeps."""
-        self.kinetic, self.gained, self.climbed, self.climb, self.told, *counts = known
-        self.number, self.finest, self.parts, self.calm, self.wait = map(int, counts)
+        self.kinetic, self.gained, self.climbed, self.climb, self.told = map(float, known[:5])
+        self.number, self.finest, self.parts, self.calm, self.wait = map(int, known[5:])
         self.present = 1
 
     def said(self) -> list[str]:
@@ -136,8 +136,10 @@ class Division:
 
     def make_whole(self) -> None:
         """Have in the present fields what whole substeps start from; `prime` is due."""
-        if self.present > 1:
-            beginning = self.run.parts.beginning
+        beginning = self.run.parts.beginning
+        if beginning is not None and self.present == 1:
+            self.run.parts.set_step(self.run.h, holds=False)  # an interrupted call may have left parts of it
+        elif beginning is not None:
             beginning.h[LIVE] = self.run.h / self.present
             beginning.store(KEPT)
             self._begin(KEPT, 1)
