@@ -122,7 +122,7 @@ class Pairs:
 
     @ti.func
     def lift(self, ball: ti.template(), i):
-        """What gravity holds more [J] where the upper ball of each pair that ball i lists is pushed out of the lower one."""
+        """Energy [J] that gravity gains where the upper ball of each pair that ball i lists is pushed out of the lower one."""
         total = 0.0 * self.model.radius[i]
         for t in range(self.touching[i]):
             e = pair_entry(self, self.first[i], t)

@@ -376,7 +376,7 @@ class Walls(Surfaces):
 
     @ti.func
     def lift(self, ball: ti.template(), i):
-        """What gravity holds more [J] where ball i is pushed out of walls and colliders."""
+        """Energy [J] that gravity gains where ball i is pushed out of walls and colliders."""
         rise, w = 0.0 * self.model.radius[i], self.model.inverse_mass[i]
         for k in range(ti.select(w > 0.0, self.looked_at(i), 0)):
             depth = ti.max(0.0, -self.gap(ball[i].x, i, k))

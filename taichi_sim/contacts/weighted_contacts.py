@@ -163,7 +163,7 @@ class WeightedContacts:
 
     @ti.func
     def lift(self, ball: ti.template(), i):
-        """What gravity holds more [J] where the upper side of each contact whose first ball is ball i is pushed out."""
+        """Energy [J] that gravity gains where the upper side of each contact whose first ball is ball i is pushed out."""
         total = 0.0 * self.model.radius[i]
         for e in range(self.first[i], self.first[i] + self.number[i]):
             c, k = self.entry[e] // self.balls_per_contact, self.entry[e] % self.balls_per_contact

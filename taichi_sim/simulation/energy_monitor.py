@@ -152,7 +152,7 @@ class EnergyMonitor:
         return climbed - 2.0 * self._rounding(sample) > STEP_GROWTH * kinetic
 
     def _gain(self, before: Any, after: Any) -> float:
-        """What `climb` gives, less what may be rounding [J]."""
+        """Energy [J] that `climb` gives, less what may be rounding."""
         return self.climb(before, after) - self._rounding(before) - self._rounding(after)
 
     def stored(self) -> list[Any] | None:
