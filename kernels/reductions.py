@@ -4,7 +4,7 @@ them; and sums over balls so, in double precision where the device has it."""
 from taichi_sim.device.engine import on_device, ti
 
 GRAIN = 32  # Taichi hands loop indices to CPU threads in runs of at least this many: one run holds one part
-BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, SIZE = range(7)  # members of a row
+BAD, SPEED, KINETIC, ELASTIC, GRAVITY, WEIGHT, LIFT, SIZE = range(8)  # members of a row
 
 
 LONG_PART = 1024  # terms that one thread sums, where one thread then adds up all parts

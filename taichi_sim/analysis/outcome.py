@@ -18,7 +18,7 @@ __all__ = [
     "STARTS_DEEP",
     "Scales",
     "cure_of_depth",
-    "gained_in_step",
+    "gained_in_steps",
     "has_mesh",
     "left_out",
     "not_included",
@@ -52,9 +52,9 @@ class Scales(NamedTuple):
     that part at the start or the end, whichever is larger. squeezes: colliders or pins move. damps: the name of a method that
     takes energy itself. gains: why the method may give energy, in words; cure: of that. held [J]: the largest kinetic
     and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
-    above the least before; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy.
-    touches: there may be contacts, or there were. starts_deep: balls were seen that overlap deeply at the start. rounding [J]:
-    by which sums of energy may be off."""
+    above the least before; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy;
+    climbed: the same of steps together. touches: there may be contacts, or there were. starts_deep: balls were seen that overlap
+    deeply at the start. rounding [J]: by which sums of energy may be off."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -72,6 +72,7 @@ class Scales(NamedTuple):
     held: float = 0.0
     risen: float = 0.0
     gained: float = 0.0
+    climbed: float = 0.0
     rounding: float = 0.0
 
 
@@ -158,10 +159,12 @@ def of_cells(now: int, most: int, cells: int) -> str:
     return "look at it; the body was crushed for a moment and recovered" if most > FEW_CELLS * cells else "good"
 
 
-def gained_in_step(part: float, why: str, cure: str) -> str:
-    """Words on the energy that a step gave, in parts of the largest kinetic energy. why: empty where nothing explains it."""
+def gained_in_steps(gained: float, climbed: float, why: str, cure: str) -> str:
+    """Words on the energy that one step gave, or, where none gave much, steps together, in parts of the largest kinetic energy.
+    why: empty where nothing explains it."""
     cause = f"as {why}" if why else "which nothing explains"
-    return f"gained {_times(part)} the largest kinetic energy in one step, {cause}: {cure}"
+    much = f"{_times(gained)} the largest kinetic energy in one step" if gained else ""
+    return f"gained {much or f'{_times(climbed)} the largest kinetic energy step by step'}, {cause}: {cure}"
 
 
 def of_energy(start: float, end: float, scales: Scales) -> str:

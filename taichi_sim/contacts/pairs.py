@@ -121,6 +121,22 @@ class Pairs:
             loops.search(self)
 
     @ti.func
+    def lift(self, ball: ti.template(), i):
+        """Energy [J] that gravity gains where the upper ball of each pair that ball i lists is pushed out of the lower one."""
+        total = 0.0 * self.model.radius[i]
+        for t in range(self.touching[i]):
+            e = pair_entry(self, self.first[i], t)
+            j = self.link[e].other
+            rise = -self.contact[e].depth * self.contact[e].normal.dot(self.model.gravity[0])
+            w = self.model.inverse_mass[ti.select(rise > 0.0, j, i)]
+            once = True
+            if ti.static(self.plan.gathers):
+                once = i < j
+            if once and w > 0.0 and self.contact[e].depth > 0.0:
+                total += ti.abs(rise) / w
+        return total
+
+    @ti.func
     def statistics(self, ball: ti.template(), solver: ti.template(), i):
         """Statistics of the pairs that ball i lists and that touch, give or take rounding."""
         total = statistics.nothing()

@@ -375,6 +375,15 @@ class Walls(Surfaces):
         return d
 
     @ti.func
+    def lift(self, ball: ti.template(), i):
+        """Energy [J] that gravity gains where ball i is pushed out of walls and colliders."""
+        rise, w = 0.0 * self.model.radius[i], self.model.inverse_mass[i]
+        for k in range(ti.select(w > 0.0, self.looked_at(i), 0)):
+            depth = ti.max(0.0, -self.gap(ball[i].x, i, k))
+            rise += ti.max(0.0, -depth * self.normal(i, k).dot(self.model.gravity[0]))
+        return rise / ti.max(w, 1e-30)
+
+    @ti.func
     def statistics(self, ball: ti.template(), solver: ti.template(), i):
         """Statistics of the walls and colliders that ball i touches; one that rests lies on the surface, give or take
         rounding."""

@@ -162,6 +162,24 @@ class WeightedContacts:
         return q * self.model.inverse_mass[i]
 
     @ti.func
+    def lift(self, ball: ti.template(), i):
+        """Energy [J] that gravity gains where the upper side of each contact whose first ball is ball i is pushed out."""
+        total = 0.0 * self.model.radius[i]
+        for e in range(self.first[i], self.first[i] + self.number[i]):
+            c, k = self.entry[e] // self.balls_per_contact, self.entry[e] % self.balls_per_contact
+            depth = self.thickness(c) - self.contact[c].distance
+            if k == 0 and depth > 0.0:
+                rise = -depth * self.contact[c].normal.dot(self.model.gravity[0])
+                inverse = 0.0 * rise  # of the mass that the side opposes
+                for m in ti.static(range(self.balls_per_contact)):
+                    g = self.weight_of(c, m)
+                    if g * rise > 0.0:
+                        inverse += self.model.inverse_mass[self.ball_of(c, m)] * g * g
+                if inverse > 0.0:
+                    total += ti.abs(rise) / inverse
+        return total
+
+    @ti.func
     def statistics(self, ball: ti.template(), solver: ti.template(), i):
         """Statistics of the contacts that touch and whose first ball is ball i."""
         total = statistics.nothing()

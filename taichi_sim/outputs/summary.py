@@ -14,7 +14,7 @@ from taichi_sim.analysis.frame import Contacts
 from taichi_sim.analysis.outcome import (
     MESH,
     Scales,
-    gained_in_step,
+    gained_in_steps,
     not_included,
     of_approach,
     of_cells,
@@ -184,9 +184,9 @@ class Summary:
                 f"solver       {s.stages} stages in {s.passes} passes over the forces; {s.worst:.2g} left at most,"
                 f" {s.misses} not solved: {'look at it; take shorter steps' if s.misses else 'good'}"
             )
-            if self.scales is not None and self.scales.gained:
+            if self.scales is not None and (self.scales.gained or self.scales.climbed):
                 one = self.scales
-                lines.append(f"             {gained_in_step(one.gained, one.gains, one.cure)}")
+                lines.append(f"             {gained_in_steps(one.gained, one.climbed, one.gains, one.cure)}")
         simulated = self.duration * self.steady / max(1, self.frames - 1)
         rate = (self.wall - self.compiling - self.starting) / simulated if simulated else 0.0
         per = f": {rate:.3g} s per simulated second without compiling and starting" if simulated else ""

@@ -142,7 +142,10 @@ class Assembly:
         self.forces.allocate(self.state, self.fields)
         self.contacts = self._contacts(scene, settings, h, cpu)
         self._statistics = ContactStatistics(self.fields, self.contacts) if self.contacts.active else None
-        self.state_probe = StateProbe(self.model, self.state, springs, self.forces.stores, self.fields, self.fused)
+        touching = self.contacts.parts if self.contacts.active else ()
+        self.state_probe = StateProbe(
+            self.model, self.state, springs, self.forces.stores, touching, self.fields, self.fused
+        )
         self.pins = DrivenPins(self.model, self.state, self.fields) if scene.moving_pins else None
         self.tearing: Tearing | None = None
         if springs is not None and np.isfinite(scene.break_strain).any():
@@ -162,7 +165,7 @@ class Assembly:
         self.moments = kind(self.state, self.integrator, self.contacts, self.fields, self.fused)
         self.beginning: Beginning | None = None
         if divides(settings, self.integrator, self.contacts):
-            self.beginning = Beginning(self.state, self.integrator, self.contacts, self.fields, self.fused, 2)
+            self.beginning = Beginning(self.state, self.integrator, self.contacts, self.fields, self.fused)
         size = scene.n_balls + scene.n_springs
         self.drivers = Drivers(self.integrator, self.pins, self.forces.motors, self.tearing, size)
 

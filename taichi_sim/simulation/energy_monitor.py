@@ -12,7 +12,8 @@ An error of the step is no growth: where a swing turns around it hardly moves, a
 gain counts from a hundredth of the largest W so far on; what grows without end passes that soon.
 
 Not energy that appeared: what rounding makes of the sums, and, where there are contacts, what overlap holds, which no sum
-counts: what is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter.
+counts. What is pushed out may lift all balls by the height of the scene, and stretch each spring by a diameter. By methods that
+only lose energy it may lift balls by what they overlapped at the sample before: that is measured.
 
 Where user-defined forces or moving colliders do work, any energy may be right. There only growth a hundredfold above all
 that came before, if that was more than rounding, raises the question. The bound on the step for the present shape answers it,
@@ -21,6 +22,7 @@ factor by which two of its moments differ. Forces of one's own have no bound; wh
 a step than the scene is wide, such a run answers, too.
 """
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,14 +31,14 @@ from taichi_sim.analysis.methods import Method
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["LARGEST_PART", "EnergyMonitor", "Growth", "size"]
+__all__ = ["LARGEST_PART", "STEP_GROWTH", "EnergyMonitor", "Growth", "size"]
 
 MOST_GROWTH = 8.0  # of kinetic plus elastic energy, out of nothing
 MOST_RISE = 0.1  # of the energy in motion that the start explains, by methods that only lose
 LEAST_GROWTH = 0.01  # of the largest kinetic plus elastic energy so far
 SWINGS = 1.5  # of a method's own swing, for springs that pull at once
 LARGEST_PART = 0.9  # of the bound, up to which a swing is worked out; above it there is none
-STEP_GROWTH = 0.005  # of the largest kinetic energy so far, by one step of a method that only loses
+STEP_GROWTH = 0.005  # of the largest kinetic energy so far, by steps of a method that only loses
 WORK_GROWTH = 100.0  # times what a driven scene had before: the bound is asked then
 DIGITS = 64.0  # units of rounding that sums and positions may differ by
 LEAST_DIGITS, MOST_DIGITS = 4, 9  # of energies in words, as many as show their difference
@@ -70,7 +72,8 @@ class EnergyMonitor:
     """Judges samples of one run (see state_probe.StateSample), one after another; `begin` forgets those before.
 
     held: the largest kinetic and elastic energy [J] that the energy at the start explains; low: the sample of the least total so
-    far; risen: the most [J] by which the total has been above that. part: the substep as a part of the bound for every shape.
+    far, with the most lift since; risen: the most [J] by which the total has been above that. part: the substep as a part of the
+    bound for every shape.
     closed: nothing works on the scene. contacts: there are some.
     """
 
@@ -85,7 +88,6 @@ class EnergyMonitor:
         self.cancelled = CANCELLED * eps * sum(element.cancelling(scene) for element in ELEMENTS)
         self.jitter = 0.5 * float(np.sum(scene.stiffness)) * (self.digits * far) ** 2
         self.slack = _overlap(scene) if contacts else 0.0
-        self.lift = _lift(scene) if contacts else 0.0
         self.only_loses = method.limit is not None and not method.limit.by_springs
         self.start, self.held, self.risen = np.inf, 0.0, 0.0
         self.least, self.most = np.inf, 0.0
@@ -116,8 +118,8 @@ class EnergyMonitor:
         self.held = max(self.held, sample.motion - max(0.0, sample.total - self.start))
         gain = max(0.0, self._gain(self.low, sample))
         self.risen = max(self.risen, gain)
-        if sample.total < self.low.total:
-            self.low = sample
+        deeper = self.low._replace(lift=max(self.low.lift, sample.lift))
+        self.low = sample if sample.total < self.low.total else deeper
         rises = self.closed and self.only_loses and gain > MOST_RISE * self.held
         return Growth(self.low.total, sample.total, True) if rises else None
 
@@ -134,17 +136,35 @@ class EnergyMonitor:
             return Growth(self.least, sample.total, True)
         return None
 
-    def gain_of_step(self, before: Any, after: Any, kinetic: float) -> float:
+    def gain_of_step(self, before: Any, after: Any, kinetic: float, climbed: float = 0.0) -> float:
         """Energy that one step gave, in parts of a kinetic energy [J]; 0 where it may be what contacts and rounding explain, or
-        little."""
+        little, also with what steps before have climbed [J]."""
         gain = self._gain(before, after)
-        return gain / kinetic if gain > STEP_GROWTH * kinetic else 0.0
+        return gain / kinetic if gain > max(0.0, STEP_GROWTH * kinetic - climbed) else 0.0
+
+    def climb(self, before: Any, after: Any) -> float:
+        """Energy [J] that appeared from one sample to another, less what contacts, which push balls out of each other, may have
+        lifted: each by what it overlapped."""
+        return float(after.total - before.total - min(before.lift, max(0.0, after.gravity - before.gravity)))
+
+    def is_climb(self, climbed: float, sample: Any, kinetic: float) -> bool:
+        """True if so much [J] up to a sample is more than rounding, and more than a little of a kinetic energy [J]."""
+        return climbed - 2.0 * self._rounding(sample) > STEP_GROWTH * kinetic
 
     def _gain(self, before: Any, after: Any) -> float:
-        """Energy [J] that appeared from one sample to another, less what may be rounding, and what contacts, which push balls out
-        of each other, may have lifted: each by its radius."""
-        lifted = min(self.lift, max(0.0, after.gravity - before.gravity))
-        return after.total - before.total - lifted - self._rounding(before) - self._rounding(after)
+        """Energy [J] that `climb` gives, less what may be rounding."""
+        return self.climb(before, after) - self._rounding(before) - self._rounding(after)
+
+    def stored(self) -> list[Any] | None:
+        """Plain values from which the watch goes on, for `put_back`; None where it has not begun."""
+        if self.last is None:
+            return None
+        samples = [list(self.last), None if self.low is None else list(self.low)]
+        return [self.least, self.most, *samples, self.start, self.held, self.risen]
+
+    def put_back(self, values: Sequence[Any]) -> None:
+        """Go on from what `stored` gave, its samples read."""
+        self.least, self.most, self.last, self.low, self.start, self.held, self.risen = values
 
     @property
     def rounding(self) -> float:
@@ -159,11 +179,6 @@ class EnergyMonitor:
             + self.jitter
             + 2.0 * float(np.sqrt(max(0.0, sample.elastic) * self.jitter))
         )
-
-
-def _lift(scene: Scene) -> float:
-    """Energy [J] that lifts each ball by its radius."""
-    return float(np.linalg.norm(scene.gravity) * np.sum(np.where(scene.pinned, 0.0, scene.mass) * scene.radius))
 
 
 def _overlap(scene: Scene) -> float:

@@ -7,7 +7,7 @@ from weakref import proxy
 import numpy as np
 from numpy.typing import NDArray
 
-from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, gained_in_step, takers
+from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, gained_in_steps, takers
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.analysis.stability import explicit_parts, present_limit
 from taichi_sim.analysis.strikes import unanswered
@@ -101,7 +101,8 @@ class RunChecks:
             cure=cure,
             held=run.monitor.held,
             risen=run.monitor.risen,
-            gained=run.gained,
+            gained=run.division.gained,
+            climbed=run.division.climbed,
             rounding=run.monitor.rounding,
             touches=touches,
         )
@@ -164,12 +165,11 @@ class RunChecks:
             )
 
     def _check_steps(self) -> None:
-        """Warn if a step of an implicit method has gained energy."""
-        if self.run.gained:
-            self.warn(
-                "gain",
-                f"by t = {self.run.time:.6g} s {self.run.method} {gained_in_step(self.run.gained, *self._why_energy_grows())}",
-            )
+        """Warn if steps of an implicit method have gained energy."""
+        known = self.run.division
+        if known.gained or known.climbed:
+            words = gained_in_steps(known.gained, known.climbed, *self._why_energy_grows())
+            self.warn("gain", f"by t = {self.run.time:.6g} s {self.run.method} {words}")
 
     def _check_bound(self) -> None:
         """Warn if the shape has stiffened so that the step is not safe, where it is not safe in every shape."""

@@ -13,14 +13,15 @@ from taichi_sim.forces.springs import Springs
 from taichi_sim.kernels import reductions
 from taichi_sim.kernels.springs import law
 
-__all__ = ["StateProbe", "StateSample"]
+__all__ = ["StateProbe", "StateSample", "sample_of"]
 
 MOST_ROWS = 1 << 14  # that a device hands to the host: as many threads as keep it busy
 
 
 class StateSample(NamedTuple):
     """`bad`: lowest index of a ball that is not finite or has left the world, or None; then the rest says nothing. Energies
-    in J; `weight`: the sum of the sizes of what `gravity` sums, which its rounding goes with."""
+    in J; `weight`: the sum of the sizes of what `gravity` sums, which its rounding goes with; `lift`: what gravity may hold more
+    once what overlaps is pushed out."""
 
     bad: int | None
     speed: float  # m/s, of the fastest ball
@@ -28,6 +29,7 @@ class StateSample(NamedTuple):
     elastic: float
     gravity: float
     weight: float
+    lift: float = 0.0
 
     @property
     def total(self) -> float:
@@ -40,10 +42,16 @@ class StateSample(NamedTuple):
         return self.kinetic + self.elastic
 
 
+def sample_of(plain: Sequence[Any]) -> StateSample:
+    """A sample of its plain values. Raises TypeError or ValueError for anything else."""
+    bad, *numbers = plain
+    return StateSample(None if bad is None else int(bad), *map(float, numbers))
+
+
 @ti.data_oriented
 class StateProbe:
-    """Looks at the balls of a state. stores: forces that hold energy besides springs. serial: all on one thread, as the fused
-    driver runs; else parts go to all threads."""
+    """Looks at the balls of a state. stores: forces that hold energy besides springs; contacts: all kinds that there are. serial:
+    all on one thread, as the fused driver runs; else parts go to all threads."""
 
     def __init__(
         self,
@@ -51,11 +59,12 @@ class StateProbe:
         state: State,
         springs: Springs | None,
         stores: Sequence[Any],
+        contacts: Sequence[Any],
         fields: Fields,
         serial: bool,
     ) -> None:
         self.model, self.state, self.springs, self.serial = model, state, springs, serial
-        self.stores = list(stores)
+        self.stores, self.contacts = list(stores), list(contacts)
         self.has_springs = springs is not None
         self.share = 0.5 if springs is not None and springs.order == "gather" else 1.0  # both ends list a spring
         self.n, self.parts = model.n, reductions.parts_of(model.n)
@@ -69,7 +78,7 @@ class StateProbe:
         """Row c: of the balls of part c."""
         bad, fastest = self.n, ti.cast(0.0, self.wide)
         kinetic, elastic = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
-        gravity, weight = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
+        gravity, weight, lift = ti.cast(0.0, self.wide), ti.cast(0.0, self.wide), ti.cast(0.0, self.wide)
         for k in range(reductions.members(c, self.parts, self.n)):
             i = reductions.member(c, k, self.parts)
             ball = self.state.ball[i]
@@ -94,12 +103,16 @@ class StateProbe:
                 elastic += self.share * law.stored(self.state.ball, self.springs, i, self.wide)
             for force in ti.static(self.stores):
                 elastic += force.stored(self.state.ball, i, self.wide)
+            if ti.static(self.model.has_gravity):
+                for part in ti.static(self.contacts):
+                    lift += part.lift(self.state.ball, i)
         row[c, reductions.BAD] = ti.cast(bad, self.wide)
         row[c, reductions.SPEED] = fastest
         row[c, reductions.KINETIC] = kinetic
         row[c, reductions.ELASTIC] = elastic
         row[c, reductions.GRAVITY] = gravity
         row[c, reductions.WEIGHT] = weight
+        row[c, reductions.LIFT] = lift
 
     @ti.func
     def _turn(self, i):

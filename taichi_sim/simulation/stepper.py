@@ -27,7 +27,7 @@ from taichi_sim.simulation.moments import KEPT, LIVE
 from taichi_sim.simulation.retry import Retry
 from taichi_sim.simulation.run_checks import RunChecks
 from taichi_sim.simulation.settings import Settings
-from taichi_sim.simulation.state_probe import StateSample
+from taichi_sim.simulation.state_probe import StateSample, sample_of
 
 __all__ = ["Stepper"]
 
@@ -40,9 +40,8 @@ class Stepper:
     tolerance is asked for, ErrorControl.
 
     steps: made since `begin` [s]. mark: what is kept is of that step; end: of the chunk. remembers: whether a method's own memory
-    belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls. kinetic:
-    the largest kinetic energy [J] of all looks; gained: the most that a substep of an implicit method has gained, in parts of
-    that. watched: what is known of substeps that were looked at, as it was when the present was last kept.
+    belongs to what is kept. own: forces or a method of the user's, which may do work, and may be changed between calls. watched:
+    what is known of substeps that were looked at, see Division, as it was when the present was last kept.
     """
 
     saved: tuple[str, ...] = (
@@ -56,8 +55,6 @@ class Stepper:
         "moved",
         "remembers",
         "largest_motion",
-        "kinetic",
-        "gained",
         "watched",
     )
 
@@ -76,11 +73,10 @@ class Stepper:
         self.moved = False  # by steps, since places were set
         # J, kinetic and elastic, of all looks: reports alone may know of those within a chunk
         self.largest_motion = 0.0
-        self.kinetic = self.gained = 0.0
         parts.moments.h[LIVE] = self.h
         self._seen: StateSample | None = None  # of the present state, where it is known
         self.checks, self.retry, self.division = RunChecks(self), Retry(self), Division(self)
-        self._note()
+        self.watched, self.counts = self.division.known(), parts.moments.counts()
         self.policy: Retry | ErrorControl = self.retry if settings.tolerance is None else ErrorControl(self)
         self.monitor = EnergyMonitor(
             scene,
@@ -148,8 +144,8 @@ class Stepper:
             raise SceneError(f"balls.position[{sample.bad}]", says=says)
         self.monitor.start_at(sample)
         self.largest_motion, self.checks.fastest = sample.motion, sample.speed
-        self.watched = [sample.kinetic, 0.0]  # what ran before has no say
-        self._take_back()
+        self.division.start_at(sample)
+        self.watched = self.division.known()
         self.primed, self.moved = True, False
         self.policy.start()
 
@@ -161,16 +157,12 @@ class Stepper:
     def keep(self, goes_on: bool) -> None:
         """The present state is good. goes_on: a step led to it, so that what the method remembers belongs to it."""
         integrator = self.parts.integrator
+        self.division.make_whole()
         self.remembers = goes_on and bool(integrator.memory()) and integrator.remembers()
         self.parts.moments.store(KEPT)
         self.parts.state.keep()
         self.mark = self.steps
-        self._note()
-
-    def _note(self) -> None:
-        """Keep what is known of watched substeps, and what the method has counted, with the state that is kept."""
-        self.watched = [self.kinetic, self.gained, *self.division.counts()]
-        self.counts = self.parts.moments.counts()
+        self.watched, self.counts = self.division.known(), self.parts.moments.counts()
 
     def new_chunk(self) -> None:
         """Begin a chunk, the steps that run before the state is checked again, with this step, from the state last kept."""
@@ -207,12 +199,7 @@ class Stepper:
         self.parts.moments.load(KEPT, self.h)
         self.steps, self._begun, self.halfway = self.mark, False, False
         self._seen = None
-        self._take_back()
-
-    def _take_back(self) -> None:
-        """Return to what was known and counted when the state was kept."""
-        self.kinetic, self.gained, *counts = self.watched
-        self.division.put_back(counts)
+        self.division.put_back(self.watched)
         self.parts.moments.recount(self.counts)
 
     def run_to(self, target: int) -> StateSample:
@@ -250,9 +237,7 @@ class Stepper:
         seen = self.look()
         for number in range(first, first + substeps):
             self._seen = None
-            seen, gain = self.division.advance(number, seen)
-            self._seen = seen
-            self.kinetic, self.gained = max(self.kinetic, seen.kinetic), max(self.gained, gain)
+            self._seen = seen = self.division.advance(number, seen)
 
     def divide(self, substeps: int) -> None:
         """Take so many substeps from now on, from what is kept."""
@@ -267,15 +252,12 @@ class Stepper:
             return replace(self.parts.snapshot(), time=self.time, stepping={"of": self._kind()})
         self.policy.before_snapshot()
         parts = self.parts
-        monitor = (
-            None if self.monitor.last is None else [self.monitor.least, self.monitor.most, list(self.monitor.last)]
-        )
         stepping = {
             "of": self._kind(),
             **{name: getattr(owner, name) for owner in (self, self.policy) for name in owner.saved},
             "h": list(parts.moments.h),
             "room": list(parts.room),
-            "monitor": monitor,
+            "monitor": self.monitor.stored(),
             **self.checks.stored(),
             **self.policy.stored(),
         }
@@ -326,6 +308,7 @@ class Stepper:
             raise ValueError(f"steps {steps} from {mark} to {end} in {substeps} parts")
         if not abs(values["begin"] + steps * self.dt - snapshot.time) <= 1e-9 * snapshot.time:
             raise ValueError(f"{steps} steps since {values['begin']} s end at another time than {snapshot.time} s")
+        Division(self).put_back(values["watched"])
         self.checks.read(given)
         room = ContactCapacity(*(int(entries) for entries in given["room"]))
         if any(one > have for one, have in zip(room, self.parts.room)):
@@ -346,16 +329,16 @@ class Stepper:
         self.parts.set_step(self.h, holds=False)
         monitored = _monitored(snapshot.stepping["monitor"])
         if monitored is not None:
-            self.monitor.least, self.monitor.most, self.monitor.last = monitored
-            self.monitor.low = self.monitor.last
+            self.monitor.put_back(monitored)
 
 
-def _monitored(given: Any) -> tuple[float, float, StateSample] | None:
+def _monitored(given: Any) -> list[Any] | None:
     """Values from which an energy monitor goes on, of a snapshot's plain values."""
     if given is None:
         return None
-    least, most, (bad, *numbers) = given
-    return float(least), float(most), StateSample(None if bad is None else int(bad), *map(float, numbers))
+    least, most, last, low, *rest = given
+    start, held, risen = map(float, rest)
+    return [float(least), float(most), sample_of(last), None if low is None else sample_of(low), start, held, risen]
 
 
 def _as_is(present: Any, given: Any) -> Any:

@@ -5,6 +5,7 @@ import pytest
 from physics_support import simulate
 
 import taichi_sim as ts
+from taichi_sim.simulation.assembly import Assembly
 
 STEPS = 14
 
@@ -65,8 +66,10 @@ def test_bodies_that_meet_gain_no_energy():
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_divided_substeps_are_the_same_bits_in_other_calls_and_after_a_snapshot():
-    scene = meeting()
+def test_divided_substeps_are_the_same_bits_in_other_calls_and_after_a_snapshot(monkeypatch):
+    scene, primed = meeting(), []
+    prime = Assembly.prime
+    monkeypatch.setattr(Assembly, "prime", lambda parts, *time: primed.append(time) or prime(parts, *time))
     with simulate(scene, integrator="implicit_euler", dt=1 / 70) as sim:
         start, found, divided = sim.snapshot(), [], []
         for _ in range(STEPS):
@@ -76,16 +79,19 @@ def test_divided_substeps_are_the_same_bits_in_other_calls_and_after_a_snapshot(
         changes = [k for k in range(1, STEPS) if divided[k] != divided[k - 1]]
         assert changes
         sim.resume(start)
+        primed.clear()
         sim.step(STEPS)
         assert np.array_equal(sim.position, found[-1])
         assert sim.decisions()[-1:] == divided[-1]
+        assert len(primed) < STEPS  # as many parts as before go on from what is there
         for halfway in (changes[0], changes[0] + 1, STEPS - 3):
             sim.resume(start)
             sim.step(halfway)
-            state = sim.snapshot()
+            state, watch = sim.snapshot(), sim._stepper.monitor.stored()
             sim.step(2)
             sim.reset(meeting())
             sim.resume(state)
+            assert sim._stepper.monitor.stored() == watch
             assert sim.decisions()[-1:] == divided[halfway - 1]
             sim.step(STEPS - halfway)
             assert np.array_equal(sim.position, found[-1])
