@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from physics_support import EPS, F64, GATHERED, VARIANTS, simulate
+from scipy.sparse import coo_array, diags_array
 from taichi_sim.kernels import reductions
 
 import taichi_sim as ts
@@ -41,6 +42,65 @@ def test_levels_move_bodies_as_wholes_and_hold_what_is_held():
         assert weights[free] == pytest.approx(whole[free])
     moved = found[0].mass.sum()
     assert 0.3 * 600 < moved < 600  # sum of squares of weights that add up to 1
+
+
+def iterations(edges, n, held):
+    """Those of conjugate gradients to 0.001, for the Laplacian of a graph with n nodes, some of them held, by its levels."""
+    found = levels_of(edges, held, np.ones(n), components(n, edges), (0, 1))
+    ends = np.concatenate([edges, edges[:, ::-1]])
+    graph = coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(n, n)).tocsr()
+    matrix = (diags_array(graph.sum(axis=1) + held) - graph).tocsr()
+    below, inverse = matrix.diagonal(), []
+    for level in found:
+        block = level.weight.multiply(level.weight).T @ below
+        below = level.shares[1] * block
+        inverse.append(1.0 / below - 1.0 / (level.shares[0] * block))
+
+    def conditioned(residual):
+        points, answer = [residual], 0.0
+        for level in found:
+            points.append(level.weight.T @ points[-1])
+        for level, part, point in zip(found[::-1], inverse[::-1], points[:0:-1]):
+            answer = level.weight @ (part * point + answer)
+        return residual / matrix.diagonal() + answer
+
+    residual = np.random.default_rng(3).normal(size=n)
+    z = p = conditioned(residual)
+    first = size = residual @ z
+    count = 0
+    while size > 1e-6 * first:
+        product = matrix @ p
+        residual = residual - size / (p @ product) * product
+        z = conditioned(residual)
+        before, size = size, residual @ z
+        p = z + size / before * p
+        count += 1
+    return count
+
+
+def mixed(edges, n):
+    """The same graph, its nodes numbered at random, and the new number of each."""
+    number = np.random.default_rng(8).permutation(n)
+    return number[edges], number
+
+
+@pytest.mark.once
+def test_iterations_hardly_grow_whatever_the_order_of_nodes():
+    """Sheets held by a side, and a rope held by an end."""
+    found = []
+    for across in (22, 130):
+        n = across * across
+        held = np.zeros(n)
+        held[:across] = 2.0
+        edges, number = mixed(grid(across, across), n)
+        mixed_held = np.zeros(n)
+        mixed_held[number] = held
+        found += [iterations(grid(across, across), n, held), iterations(edges, n, mixed_held)]
+    rope = np.stack([np.arange(1999), np.arange(1, 2000)], axis=1)
+    found.append(iterations(rope, 2000, np.eye(2000)[0]))
+    print(found)
+    assert max(found[2:4]) < 1.5 * min(found[:2])
+    assert max(found) <= 17
 
 
 @pytest.mark.once
