@@ -15,7 +15,7 @@ from taichi_sim.device.engine import ti
 from taichi_sim.device.fields import Fields
 from taichi_sim.device.model import Model
 from taichi_sim.integrators.bodies import Bodies
-from taichi_sim.integrators.held_friction import HeldFriction
+from taichi_sim.integrators.held_friction import STUCK, HeldFriction
 from taichi_sim.integrators.held_momentum import HeldMomentum
 from taichi_sim.kernels.contacts.kinds import RESTING
 from taichi_sim.kernels.contacts.nearby_colliders import FAR_GAP
@@ -46,6 +46,7 @@ class HeldBalls(HeldFriction, HeldMomentum):
     def __init__(self, model: Model, walls: Any, bodies: Bodies, method: Any, fields: Fields) -> None:
         self.model, self.walls, self.dim = model, walls, model.dim
         self.rubs, self.eps = model.has_friction, 2.0**-52 if fields.real == ti.f64 else 2.0**-23
+        self.stuck = STUCK[method.method.order]
         self.rate = method.contacts.rate  # 1/s
         self.ends, self.opening = fields.reals(np.array(method.ends)), method.opening
         walls.foresees = True
