@@ -282,8 +282,8 @@ class Stepper:
         if not self.policy.reaches(snapshot):
             self.checks.warn(
                 "machine",
-                "what is computed here differs from what was saved, as on another machine or in another scene: it goes on from the"
-                " positions saved",
+                "what is computed here differs from what was saved, as on another machine or in another scene: it goes on from"
+                " the positions saved",
             )
             self._begin_at(snapshot)
 
