@@ -97,7 +97,7 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
                 else "leave sticks, and surfaces that collide, out of such a scene",
             )
         for what, cure in sieves.findings(scene):
-            yield Finding("cloth", what, cure)
+            yield Finding("surface", what, cure)
         for what, cure in near_at_rest.findings(scene):
             yield Finding("parts", what, cure)
     yield from _cells(scene)
