@@ -107,9 +107,10 @@ def _cheaper(scene: Scene, longest: float, demand: Demand, custom: Declared) -> 
     costs = (
         f"{method} by steps of {step:.2g} s{why} takes an estimated {implicit / explicit:.2g} of the work of {VERLET}"
     )
-    if explicit < (WORTH_TOUCHING if touching else WORTH) * implicit:
-        unsure = ", too little a gain where contacts may cost more" if explicit >= WORTH * implicit else ""
-        return Choice(VERLET, None, costs + unsure)
+    needed = WORTH_TOUCHING if touching else WORTH
+    if explicit < needed * implicit:
+        unsure = " where contacts may cost more" if touching else ""
+        return Choice(VERLET, None, f"{costs}; auto wants less than {1.0 / needed:.2g}{unsure}")
     return Choice(method, None if demand.by_error else step, costs)
 
 

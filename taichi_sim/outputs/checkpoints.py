@@ -50,7 +50,7 @@ class Checkpoints:
     def is_wanted(self, frame: int) -> bool:
         """True if what was simulated since the last checkpoint is worth one before `frame`, though none may be due."""
         began = time.perf_counter() - self._begin
-        return self._next < float("inf") and self._last < frame and (self.number > 0 or began > self._interval)
+        return self._next < float("inf") and self._last < frame and (self.number > 0 or began > (self._interval or 0.0))
 
     def make(self, frame: int, simulation: Any, own: Mapping[str, Any]) -> bool:
         """Keep all that goes on with `frame`, before which the simulation stands; own: plain values. Where the simulation cannot

@@ -292,7 +292,7 @@ class _Run:
                 self.between(index)
         except UnstableError as unstable:
             return kept, unstable
-        if self.log is not None and self.log.is_wanted(len(kept)):  # to draw may take long
+        if len(kept) > begin and self.log is not None and self.log.is_wanted(len(kept)):  # to draw may take long
             self._keep(len(kept) - 1, self.log)
         return kept, None
 
@@ -366,6 +366,15 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
 
 class _Frames(Work):
     """Frames that are done, in one phase or two."""
+
+    def begin(self, what: str) -> None:
+        self._compiled = compiling.seconds()
+        super().begin(what)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the phase began, without compiling, which later frames do not need."""
+        return max(0.0, super().elapsed - (compiling.seconds() - self._compiled))
 
     def phase(self, waiting: Callable[[float], str], what: str) -> None:
         """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""

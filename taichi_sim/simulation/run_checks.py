@@ -104,6 +104,7 @@ class RunChecks:
             gained=run.gained,
             rounding=run.monitor.rounding,
             touches=touches,
+            rows=bool(self.scene.solid.any() or self.scene.collides.any()),
         )
 
     # Looks -----------------------------------------------------------------------------------------------------------

@@ -304,7 +304,7 @@ def test_what_is_not_linear_is_not_said_to_be_safe_in_any_shape():
     scene.add_bending([[0, 1, 2, 3]], weights=[[1.0, 1.0, -1.0, -1.0]], stiffness=2.0)
     assert where_safe(scene, verlet, Declared()) == any_shape
     scene.add_cells([[0, 1, 2, 3]], bulk_modulus=50.0)
-    stay = "however springs deform, while cells stay about as they are"
+    stay = "however springs deform, with cells about as now"
     assert where_safe(scene, verlet, Declared()) == stay
     assert where_safe(scene, named("tr_bdf2"), Declared()) == any_shape
     own = Declared(Rates(3.0, 0.0))

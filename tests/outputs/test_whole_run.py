@@ -8,6 +8,8 @@ from test_outputs import SIZE, FakeRenderer, draw_with
 
 import taichi_sim as ts
 from taichi_sim import UnstableError
+from taichi_sim.common import progress
+from taichi_sim.device import compiling
 from taichi_sim.outputs import checkpoints, export, open_output, whole_run
 from taichi_sim.outputs.export import _Frames
 from taichi_sim.render import Renderer
@@ -192,6 +194,18 @@ def test_what_a_resumed_run_says_is_of_the_whole_run(tmp_path, monkeypatch):
     assert resumed.decisions == whole.decisions
     assert whole.decisions[0].startswith("verlet by auto")
     assert resumed.contacts.searches >= whole.contacts.searches  # one more after each checkpoint
+
+
+def test_the_time_left_does_not_count_compiling(monkeypatch):
+    now, compiled = [50.0], [3.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(compiling, "seconds", lambda: compiled[0])
+    frames = _Frames(12)
+    frames.phase(lambda _: "compiling", "frames")
+    frames.advance(1, 0.0)
+    now[0], compiled[0] = now[0] + 94.0, compiled[0] + 90.0  # of a kernel that the second frame needs first
+    frames.advance(2, 0.1)
+    assert frames.line() == "2 of 12 frames, 0:00:40 left, 0.025 x real time, t = 0.1 s, 0.25 frames/s"
 
 
 def test_what_is_simulated_is_kept_while_it_is_drawn(tmp_path, monkeypatch):
