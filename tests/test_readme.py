@@ -8,6 +8,7 @@ import pytest
 from commands import run_shown
 
 import taichi_sim as ts
+from taichi_sim.files.source import demos
 
 pytestmark = pytest.mark.once
 
@@ -52,6 +53,10 @@ def test_the_example_of_scene_files_loads(tmp_path):
         from taichi_sim.files.toml_schema import TABLES
 
         assert table in TABLES
+
+
+def test_it_counts_the_demos():
+    assert f"Two of the {len(demos())} built-in demos" in README
 
 
 @pytest.mark.slow

@@ -40,6 +40,7 @@ LOW_BOUNCE = 0.01  # of the smallest radius: bounces that end below it are not m
 SMALL_ANGLE = 0.05  # rad: directions after impacts that are off by less are not spoken of
 DEEP_OVERLAP = 0.1  # of the radius: overlap at rest that shows
 VISIBLE_LOSS = 0.005  # of the smallest radius: loss of single precision that shows
+FAR = 4.0  # half sizes of a scene from the origin: from there on a nearer place makes rounding smaller
 WRONG_BEND = 0.003  # of a curvature: loss of single precision that is reported
 # of the weight above, the part along each contact with the layer below: two, three contacts at 30, 35 degrees in close packs
 LOAD_SHARE = {2: 0.577, 3: 0.408}
@@ -98,7 +99,7 @@ def findings(scene: Scene, setup: Setup) -> Iterator[Finding]:
                 else "leave sticks, and surfaces that collide, out of such a scene",
             )
         for what, cure in sieves.findings(scene):
-            yield Finding("cloth", what, cure)
+            yield Finding("surface", what, cure)
         for what, cure in near_at_rest.findings(scene):
             yield Finding("parts", what, cure)
     yield from _cells(scene)
@@ -282,7 +283,7 @@ def _cells(scene: Scene) -> Iterator[Finding]:
 
 def _rounding(scene: Scene, setup: Setup) -> Iterator[Finding]:
     what, shows = single_precision(scene, setup)
-    yield Finding("rounding", what, NEARER if shows else "")
+    yield Finding("rounding", what, nearer(scene) if shows else "")
 
 
 def bending_error(scene: Scene) -> float:
@@ -307,4 +308,8 @@ def _bending(scene: Scene) -> Iterator[Finding]:
         )
 
 
-NEARER = 'use precision "f64", or build the scene nearer to the origin'
+def nearer(scene: Scene) -> str:
+    """Cure of rounding, which a place nearer to the origin is only for a scene that is far from it by its size."""
+    wide = 0.5 * float(np.ptp(scene.position, axis=0).max())
+    far = float(np.abs(scene.position).max())
+    return f'use precision "f64"{", or build the scene nearer to the origin" * (far > FAR * wide)}'

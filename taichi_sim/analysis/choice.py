@@ -12,7 +12,7 @@ from taichi_sim.analysis.touching import may_touch
 from taichi_sim.scene.elements import ELEMENTS
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["FRAME_STEP", "LONGEST_STEP", "Choice", "Demand", "choose"]
+__all__ = ["FRAME_STEP", "LONGEST_STEP", "SECOND_ORDER", "Choice", "Demand", "choose", "passes_of_stage"]
 
 FRAME_STEP = 1.0 / 120.0  # s, of an implicit method for pictures: half a frame of 60 a second
 LONGEST_STEP = 1e-3  # s, the article's step; what dt = "auto" takes where springs would allow more
@@ -100,18 +100,25 @@ def _cheaper(scene: Scene, longest: float, demand: Demand, custom: Declared) -> 
     longest_step = 0.9 * stability(scene, method, None, custom).dt_any_shape
     step = min(FRAME_STEP, demand.contact_step, demand.advised, strikes, longest_step)
     touching = demand.contacts and may_touch(scene)
-    folding = touching and (len(scene.bends) > 0 or len(scene.membranes) > 0)
-    passes = FEWEST_PASSES + (FOLDING if folding else PASSES_PER_RADIAN) * min(2.0 * step / longest, RIGID)
+    passes = passes_of_stage(scene, step, longest, touching)
     stages = SECOND_ORDER if demand.by_error else 1.0
     implicit = (stages * (work.begin + passes * work.product) + meeting) / step
     why = ", the longest that answer impacts of balls on springs and elements," if step == strikes else ""
     costs = (
         f"{method} by steps of {step:.2g} s{why} takes an estimated {implicit / explicit:.2g} of the work of {VERLET}"
     )
-    if explicit < (WORTH_TOUCHING if touching else WORTH) * implicit:
-        unsure = ", too little a gain where contacts may cost more" if explicit >= WORTH * implicit else ""
-        return Choice(VERLET, None, costs + unsure)
+    needed = WORTH_TOUCHING if touching else WORTH
+    if explicit < needed * implicit:
+        unsure = " where contacts may cost more" if touching else ""
+        return Choice(VERLET, None, f"{costs}; auto wants less than {1.0 / needed:.2g}{unsure}")
     return Choice(method, None if demand.by_error else step, costs)
+
+
+def passes_of_stage(scene: Scene, h: float, longest: float, touching: bool) -> float:
+    """Estimate of the passes over the forces in a stage of `implicit_euler`, in steps of h [s]. longest [s]: the bound of Verlet;
+    touching: whether anything may touch."""
+    folding = touching and (len(scene.bends) > 0 or len(scene.membranes) > 0)
+    return FEWEST_PASSES + (FOLDING if folding else PASSES_PER_RADIAN) * min(2.0 * h / longest, RIGID)
 
 
 def _loose(scene: Scene) -> int:

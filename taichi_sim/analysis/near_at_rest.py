@@ -13,7 +13,7 @@ from taichi_sim.geometry.mesh import unique_edges
 from taichi_sim.scene.objects import owner
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["findings"]
+__all__ = ["findings", "fits"]
 
 MOST_TRIANGLES = 10_000  # a second
 INSIDE = 1e-4  # of an edge or a triangle: nearer to its end, a hit is one of the ball there
@@ -27,15 +27,7 @@ Near = tuple[NDArray[np.int64], Floats, Floats]  # four balls (k, 4), distances 
 def findings(scene: Scene) -> Iterator[tuple[str, str]]:
     """Warning of the surface of which two parts are nearer at rest than their thickness, by the largest factor, and the cure:
     the largest radius that fits. None for a scene of more than MOST_TRIANGLES."""
-    t = scene.triangles[scene.solid].astype(np.int64)
-    if scene.dim == 2 or not 0 < len(t) <= MOST_TRIANGLES:
-        return
-    worst, least, spacing, body = -1, 1.0 - SLACK, 0.0, components(scene.n_balls, np.concatenate([t[:, :2], t[:, 1:]]))
-    for balls, distance, thickness in (_faces(scene, t), _edges(scene, unique_edges(t).astype(np.int64))):
-        part = np.where(body[balls[:, 0]] == body[balls[:, 3]], distance / thickness, np.inf)
-        k = int(np.argmin(part)) if len(part) else -1
-        if k >= 0 and part[k] < least:
-            worst, least, spacing = int(balls[k, 0]), float(part[k]), float(distance[k])
+    worst, least, spacing = _nearest(scene, scene.radius)
     if worst < 0:
         return
     of = owner(scene.objects, worst)
@@ -48,9 +40,32 @@ def findings(scene: Scene) -> Iterator[tuple[str, str]]:
     )
 
 
-def _faces(scene: Scene, t: NDArray[np.int64]) -> Near:
+def fits(scene: Scene, times: float) -> bool:
+    """True if surfaces that collide are nowhere nearer at rest than they were thick with so many times the radii, as far as is
+    known: see `findings`."""
+    return _nearest(scene, times * scene.radius)[0] < 0
+
+
+def _nearest(scene: Scene, radius: Floats) -> tuple[int, float, float]:
+    """A ball of the parts that are nearest by their thickness with radii (n,) [m], that part of it, and their distance [m]; -1
+    for the ball where none are nearer than that."""
+    t = scene.triangles[scene.solid].astype(np.int64)
+    worst, least, spacing = -1, 1.0 - SLACK, 0.0
+    if scene.dim == 2 or not 0 < len(t) <= MOST_TRIANGLES:
+        return worst, least, spacing
+    body = components(scene.n_balls, np.concatenate([t[:, :2], t[:, 1:]]))
+    x = scene.position
+    for balls, distance, thickness in (_faces(x, radius, t), _edges(x, radius, unique_edges(t).astype(np.int64))):
+        part = np.where(body[balls[:, 0]] == body[balls[:, 3]], distance / thickness, np.inf)
+        k = int(np.argmin(part)) if len(part) else -1
+        if k >= 0 and part[k] < least:
+            worst, least, spacing = int(balls[k, 0]), float(part[k]), float(distance[k])
+    return worst, least, spacing
+
+
+def _faces(x: Floats, radius: Floats, t: NDArray[np.int64]) -> Near:
     """Balls over the inside of triangles."""
-    x, radius, balls = scene.position, scene.radius, np.unique(t)
+    balls = np.unique(t)
     reach = radius[balls] + float(radius[balls].max())
     i, k = _pairs(x[balls] - reach[:, None], x[balls] + reach[:, None], x[t])
     i = balls[i]
@@ -69,9 +84,8 @@ def _faces(scene: Scene, t: NDArray[np.int64]) -> Near:
     return np.column_stack([i, t[k]])[inside], distance[inside], thickness[inside]
 
 
-def _edges(scene: Scene, edges: NDArray[np.int64]) -> Near:
+def _edges(x: Floats, radius: Floats, edges: NDArray[np.int64]) -> Near:
     """Edges that pass each other."""
-    x, radius = scene.position, scene.radius
     reach = radius[edges].max(axis=1)[:, None] + float(radius[edges].max())
     e, f = _pairs(x[edges].min(axis=1) - reach, x[edges].max(axis=1) + reach, x[edges])
     apart = (e < f) & np.all(edges[e][:, :, None] != edges[f][:, None, :], axis=(1, 2))

@@ -54,7 +54,8 @@ class Scales(NamedTuple):
     and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
     above the least before; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy;
     climbed: the same of steps together. touches: there may be contacts, or there were. starts_deep: balls were seen that overlap
-    deeply at the start. rounding [J]: by which sums of energy may be off."""
+    deeply at the start. rounding [J]: by which sums of energy may be off. rows: sticks or surfaces collide, of whose contacts no
+    residual is known."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -74,6 +75,7 @@ class Scales(NamedTuple):
     gained: float = 0.0
     climbed: float = 0.0
     rounding: float = 0.0
+    rows: bool = False
 
 
 def untouched(names: Sequence[str]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from taichi_sim.analysis import contact_loads, rebounds, sieves, strikes, turning
-from taichi_sim.analysis.accuracy import NEARER, Setup, single_precision
+from taichi_sim.analysis.accuracy import Setup, nearer, single_precision
 from taichi_sim.analysis.methods import IMPLICIT_EULER, TR_BDF2, VERLET, Method
 from taichi_sim.analysis.outcome import DEEP, STARTS_DEEP
 from taichi_sim.analysis.stability import (
@@ -40,7 +40,7 @@ def cautions(scene: Scene, setup: Setup) -> Iterator[str]:
     if setup.precision == "f32" and scene.n_balls:
         lost, shows = single_precision(scene, setup)
         if shows:
-            yield f"precision: {lost}; {NEARER}"
+            yield f"precision: {lost}; {nearer(scene)}"
         found = coarsest_spring(scene)
         if found is not None:
             spring, stretch, rounding = found

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis import near_at_rest
 from taichi_sim.geometry.mesh import Edges
 from taichi_sim.geometry.support import farthest
 from taichi_sim.scene.colliders import Collider
@@ -232,10 +233,16 @@ def _at_edges(scene: Scene, ball: Floats, least: Floats, named: set[str]) -> Ite
             continue
         larger = 0.5 * float(side[worst]) * math.cos(0.5 * angle)
         spacing = float(least[worst] * ball[worst]) / larger
+        cure = f"take a radius of {larger:.2g} m, or, with this radius, balls at most {spacing:.2g} m apart"
+        if scene.solid[worst] and not near_at_rest.fits(scene, larger / float(ball[worst])):
+            cure = (
+                f"a radius of {larger:.2g} m, which keeps them out, is thicker than its parts are apart; with balls nearer to"
+                " each other, and radii in proportion, they come less deep"
+            )
         yield (
             f"edges of {collider.in_words(k)}, {np.degrees(angle):.2g} degrees sharp, come through by up to {deep:.2g} m"
             " between its balls",
-            f"take a radius of {larger:.2g} m, or, with this radius, balls at most {spacing:.2g} m apart",
+            cure,
         )
 
 

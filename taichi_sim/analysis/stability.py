@@ -187,7 +187,8 @@ def where_safe(scene: Scene, method: Method, custom: Declared) -> str:
     names += ["user-defined forces"] * any(custom.left(method.solves_elements))
     if not names:
         return "however the scene deforms"
-    return f"however springs deform, while {' and '.join(names)} stay about as they are"
+    springs = "however springs deform, " if scene.n_springs else ""
+    return f"{springs}with {' and '.join(names)} about as now"
 
 
 def _unlimited(reason: str) -> Stability:

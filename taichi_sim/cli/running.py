@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated, Any
 
 import typer
@@ -111,8 +112,10 @@ def run(
 
                 view = stack.enter_context(LiveView(**page, title=job.file.stem, style=job.output["style"]))
                 echo(f"open         {view.url}")
+            begin = perf_counter()
             with waiting("reading the scene", not quiet):
                 sim = stack.enter_context(job.simulation())
+            reading = perf_counter() - begin
             if view is not None:
                 view.wait(sim, pictures=any(one.needs_image for one in targets))
             see = None if view is None else view.show
@@ -127,6 +130,7 @@ def run(
                 echo(f"{name}: {says}", err=True)
         raise
     if not quiet:
+        summary.reading = reading
         written = [target.pattern or name for name, target in zip(names, targets)]
         lines = [*summary.lines(), *(f"written      {name}" for name in written)]
         if MESH in summary.left_out:
@@ -177,9 +181,6 @@ def _drawn_apart(
     quiet: bool,
 ) -> None:
     """Simulate into a recording beside the first output, and draw that by many processes."""
-    from pathlib import Path
-    from time import perf_counter
-
     from taichi_sim.common.atomic_file import locking
     from taichi_sim.outputs import export, open_outputs
     from taichi_sim.outputs.base import require_alpha

@@ -4,7 +4,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -37,6 +37,7 @@ class Checkpoints:
         self._begin = time.perf_counter()
         self._next = float("inf") if first is None else self._begin + first
         self._asked = interval != "auto"
+        self._last = 0  # frame before which the last one was made
         self.number, self.seconds = 0, 0.0
         self._at_first = 0.0  # s that the first one took: imports and kernels, which no later one needs, among them
         self.stretched: tuple[float, float, float] | None = None
@@ -45,6 +46,11 @@ class Checkpoints:
     def due(self) -> bool:
         """True if it is time for a checkpoint."""
         return time.perf_counter() >= self._next
+
+    def is_wanted(self, frame: int) -> bool:
+        """True if what was simulated since the last checkpoint is worth one before `frame`, though none may be due."""
+        began = time.perf_counter() - self._begin
+        return self._next < float("inf") and self._last < frame and (self.number > 0 or began > (self._interval or 0.0))
 
     def make(self, frame: int, simulation: Any, own: Mapping[str, Any]) -> bool:
         """Keep all that goes on with `frame`, before which the simulation stands; own: plain values. Where the simulation cannot
@@ -66,6 +72,7 @@ class Checkpoints:
             return False
         now, interval = time.perf_counter(), self._interval or 0.0
         self.number += 1
+        self._last = frame
         self.seconds += now - start
         self._next = now + interval
         if self.number == 1:
@@ -130,6 +137,7 @@ def restored(simulation: Any, checkpoint: Checkpoint) -> Iterator[Any]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # they were said when the one given was made
         again = kind.restore(checkpoint.state, arch=settings.arch, threads=settings.threads)
+    again.settings = replace(again.settings, chosen=settings.chosen)  # a state holds only what was chosen
     with again:
         yield again
 

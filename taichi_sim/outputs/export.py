@@ -122,7 +122,7 @@ def export(
         summary = clock.summary
         observer = Observer(simulation, summary)
         frames = _observed(_moving(simulation, frames), observer, clock, companion, watch)
-        bar.phase(expected.words, "frames simulated" if drawn_last else "frames", simulation.time)
+        bar.phase(expected.words, "frames simulated" if drawn_last else "frames")
         waiting = stack.enter_context(ExitStack())
         if log is not None and checkpoint is not None:
             run.patience = waiting.enter_context(patiently(bar.is_to_end))
@@ -135,7 +135,7 @@ def export(
             renderer.fit(kept)
             clock.charge("drawing")
             clock.starts = True  # until the first picture is there
-            bar.phase(lambda _: "drawing", DRAWN, first.time)
+            bar.phase(lambda _: "drawing", DRAWN)
         frame: Frame | None = None
         for index, frame in enumerate(frames, begin):
             wanting = [one for one in drawing if one.output.wants(index)]
@@ -292,6 +292,8 @@ class _Run:
                 self.between(index)
         except UnstableError as unstable:
             return kept, unstable
+        if len(kept) > begin and self.log is not None and self.log.is_wanted(len(kept)):  # to draw may take long
+            self._keep(len(kept) - 1, self.log)
         return kept, None
 
     def between(self, index: int, needs: bool = True) -> None:
@@ -365,11 +367,19 @@ def _renderer(frame: Any, size: tuple[int, int], style: Mapping[str, Any]) -> An
 class _Frames(Work):
     """Frames that are done, in one phase or two."""
 
-    def phase(self, waiting: Callable[[float], str], what: str, since: float = 0.0) -> None:
-        """Begin to count what it names, from a simulated time [s] on; what `waiting` makes of the seconds since then is said
-        until the second frame."""
-        self.done, self._start = 0, since
-        self._before: float | None = None  # seconds simulated by the first frame
+    def begin(self, what: str) -> None:
+        self._compiled = compiling.seconds()
+        super().begin(what)
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the phase began, without compiling, which later frames do not need."""
+        return max(0.0, super().elapsed - (compiling.seconds() - self._compiled))
+
+    def phase(self, waiting: Callable[[float], str], what: str) -> None:
+        """Begin to count what it names; what `waiting` makes of the seconds since then is said until the second frame."""
+        self.done = 0
+        self._before: float | None = None  # s, simulated time of the first frame
         self.begin(what)
         start = time.monotonic()
         self.words = lambda: waiting(time.monotonic() - start)
@@ -380,13 +390,13 @@ class _Frames(Work):
 
     def advance(self, done: int, now: float) -> None:
         """Note that so many frames are done, the last of them at a simulated time [s]. The first one tells no pace."""
-        self.done, simulated = done, now - self._start
+        self.done = done
         if self._before is None:
             self.begin(self.what)
-            self._before = simulated
+            self._before = now
             return
         before = self._before
         self.words = lambda: (
-            f"{self.remaining}, {(simulated - before) / max(1e-9, self.elapsed):.3g} x real time, t = {simulated:.4g} s,"
+            f"{self.remaining}, {(now - before) / max(1e-9, self.elapsed):.3g} x real time, t = {now:.4g} s,"
             f" {self.pace:.3g} frames/s"
         )

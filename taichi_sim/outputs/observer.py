@@ -23,11 +23,15 @@ class Observer:
 
     def __init__(self, simulation: Any, summary: Summary) -> None:
         self.simulation, self.summary = simulation, summary
+        # of a run that is resumed, up to the checkpoint: the simulation was made anew
+        self._searches = 0 if summary.contacts is None else summary.contacts.searches
 
     def note(self, frame: Frame) -> None:
         """Give the present frame what the simulation says of contacts and probes, and note it."""
         sim, scene, summary = self.simulation, self.simulation.scene, self.summary
-        frame.contacts, frame.probes = contacts, probes = sim.contacts(), sim.probes()
+        contacts, probes = sim.contacts(), sim.probes()
+        contacts = contacts._replace(searches=self._searches + contacts.searches)
+        frame.contacts, frame.probes = contacts, probes
         summary.frames += 1
         if scene.n_volumes() <= WATCHED_CELLS:
             self._count_inverted(inverted(scene, frame.position, frame.torn_springs))

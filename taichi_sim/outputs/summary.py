@@ -41,7 +41,8 @@ class Summary:
     frames: int = 0
     steady: int = 0  # of them, after what `starting` counts
     duration: float = 0.0  # simulated
-    wall: float = 0.0  # all of it
+    wall: float = 0.0  # all of it, from a simulation that is ready on
+    reading: float = 0.0  # before that: reading the scene and making the simulation, where a command did so
     compiling: float = 0.0  # or loading what was compiled before
     loaded: bool = False  # most of it was
     starting: float = 0.0  # all else up to the end of the first frame, which no later one needs, in each process
@@ -145,7 +146,8 @@ class Summary:
             if scales is not None:
                 left, worst = float(np.median(self.unsolved)), max(self.unsolved)
                 lines.append(
-                    f"residual     approach speed left by the contact solver: {left:.3g} m/s typical,"
+                    f"residual     approach speed left by the contact solver{' with balls, walls and colliders' * scales.rows}:"
+                    f" {left:.3g} m/s typical,"
                     f" {of_approach(left, scales, self.largest_speed, now.iterations)};"
                     f" {worst:.3g} m/s worst{', which a new impact may leave for a moment' * (worst > left)}"
                 )
@@ -208,6 +210,8 @@ class Summary:
         lines += [f"{'' if k else 'decided':12} {words}" for k, words in enumerate(self.decisions)]
         lines.append(f"device       {self.device}")
         lines.append(f"wall time    {self.wall:.2f} s ({parts}){per}")
+        if self.reading:
+            lines.append(f"             {self.reading:.2f} s before that: reading the scene")
         return lines
 
     def _source(self) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.accuracy import findings
+from taichi_sim.analysis.choice import SECOND_ORDER, passes_of_stage
 from taichi_sim.analysis.element_rates import Declared, element_rates
 from taichi_sim.analysis.methods import (
     BUILT_IN_METHODS,
@@ -31,6 +32,7 @@ from taichi_sim.analysis.stability import (
     without,
 )
 from taichi_sim.analysis.strikes import safe_step
+from taichi_sim.analysis.touching import may_touch
 from taichi_sim.common.quantities import at_most, measured
 from taichi_sim.scene.scene import Scene
 from taichi_sim.simulation.settings import SAFETY, Settings, part_of_bound
@@ -139,7 +141,7 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"{finding.subject:22}{finding.what}"
         if finding.cure:
             yield f"{'':22}{finding.cure}"
-    if not np.isfinite(limits.dt_any_shape):
+    if not np.isfinite(min(limits.dt_any_shape, stability(scene, VERLET, None, custom).dt_any_shape)):
         yield f"advice                {_advice(sim, limits, np.inf)}"
         return
     longer = np.inf
@@ -148,18 +150,9 @@ def lines(sim: Simulation) -> Iterator[str]:
     if longer > LONGER * limits.dt_any_shape and limits.spring is not None:
         yield f"{f'without spring {limits.spring}':22}{_seconds(longer)} would be the safe step"
     yield ""
-    explicit = any(not np.isinf(stability(scene, method, None, custom).dt_any_shape) for method in STIFF)
-    head = f"{'method':18} {'safe step':>11} {'at present':>11} {'step taken':>11}"
-    yield f"{head} {'passes over the forces per simulated second':>44}"
-    for method in dict.fromkeys((used, *EXPLICIT, *(STIFF if explicit else ()))):
-        found = limits if method is used else stability(scene, method, sim.position, custom)
-        step = found.dt_any_shape
-        taken = h if method is used else part_of_bound(scene, method) * step
-        cost = f"{method.passes(scene, taken) / taken:.3g}" if 0 < step < np.inf and method not in STIFF else "-"
-        row = f"{method.name:18} {_seconds(step):>11} {_seconds(found.dt_present):>11} {_seconds(taken):>11}"
-        yield f"{row} {cost:>44}"
+    yield from methods(sim, limits)
     stiff = ", ".join(map(str, STIFF))
-    if explicit:
+    if any(not np.isinf(stability(scene, method, None, custom).dt_any_shape) for method in STIFF):
         yield from _limited(scene, custom)
     else:
         soft = soft_step(scene, XPBD)
@@ -176,6 +169,34 @@ def lines(sim: Simulation) -> Iterator[str]:
         yield f"The step that {names} needs is unknown; declare stiffness_rate"
     yield ""
     yield f"advice                {_advice(sim, limits, longer)}"
+
+
+def methods(sim: Simulation, limits: Stability) -> Iterator[str]:
+    """Table of methods: the step that each takes, and its work. limits: of the one in use."""
+    scene, used, custom = sim.scene, sim.settings.integrator.method, sim.force_rates
+    bound = stability(scene, VERLET, None, custom).dt_any_shape
+    touching = sim.setup.rule != "off" and may_touch(scene)
+    head = f"{'method':18} {'safe step':>11} {'at present':>11} {'step taken':>11}"
+    yield f"{head} {'passes over the forces per simulated second':>44}"
+    for method in dict.fromkeys((*EXPLICIT, *STIFF, used)):
+        found = limits if method is used else stability(scene, method, sim.position, custom)
+        taken = sim.dt / sim.substeps if method is used else sim.settings.automatic_step(scene, method, found)
+        row = f"{method.name:18} {_seconds(found.dt_any_shape):>11} {_seconds(found.dt_present):>11} {_seconds(taken):>11}"
+        yield f"{row} {_passes(scene, method, taken, bound, touching):>44}"
+
+
+def _passes(scene: Scene, method: Method, h: float, bound: float, touching: bool) -> str:
+    """Passes over the forces in a simulated second by steps of h [s]; those of solved stages are an estimate. bound [s]: of
+    Verlet."""
+    if h == 0.0:
+        return "-"
+    if method not in STIFF:
+        return f"{method.passes(scene, h) / h:.3g}"
+    stage = passes_of_stage(scene, h, bound, touching)
+    each = stage if method is IMPLICIT_EULER else SECOND_ORDER * stage if method is TR_BDF2 else 2.0
+    if method is XPBD and method.solved(scene):
+        each += stage
+    return f"about {each / h:.2g}"
 
 
 def _other_by_auto(sim: Simulation) -> Iterator[str]:

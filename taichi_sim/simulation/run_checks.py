@@ -105,6 +105,7 @@ class RunChecks:
             climbed=run.division.climbed,
             rounding=run.monitor.rounding,
             touches=touches,
+            rows=bool(self.scene.solid.any() or self.scene.collides.any()),
         )
 
     # Looks -----------------------------------------------------------------------------------------------------------

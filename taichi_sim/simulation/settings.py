@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -168,6 +168,16 @@ class Settings:
         limit = longest * (1 if self.substeps == "auto" else int(self.substeps))
         dt = float(np.minimum(LONGEST_STEP, limit))
         return dt, self._substeps(scene, dt)
+
+    def automatic_step(self, scene: Scene, method: Method, safe: Stability) -> float:
+        """The substep [s] of `method`, a built-in one whose safe step is known, by dt = "auto" and otherwise these settings; 0
+        where no step is safe."""
+        if safe.dt_any_shape == 0.0:
+            return 0.0
+        substeps = self.substeps if self.dt == "auto" else "auto"
+        other = replace(self, integrator=_integrator(method.name), dt="auto", tolerance=None, substeps=substeps)
+        dt, parts = other.time_step(scene, safe)
+        return dt / parts
 
     def _substeps(self, scene: Scene, dt: float) -> int:
         """Number of substeps of a step. For "auto" loose balls need so many to lie on each other firmly and, without a tolerance,

@@ -591,6 +591,24 @@ def test_check_names_edges_that_come_through_cloth_and_the_radius_that_keeps_the
     assert found(radius=0.025) == []
 
 
+@pytest.mark.once
+def test_check_asks_for_no_radius_that_parts_of_the_surface_are_too_near_for():
+    """A jelly whose skin has sharp corners, on an edge; a sheet, where any radius fits."""
+    scene = ts.Scene(dim=3)
+    scene.add_collider(ts.Box((0, 0.2, 0), (0.4, 0.4, 0.4)))
+    ts.shapes.jelly(
+        scene, size=(0.18, 0.18, 0.18), spacing=0.06, position=(0, 0.6, 0), density=200.0, young_modulus=3e4,
+        surface_collision=True,
+    )  # fmt: skip
+    said = accuracy.findings(scene, accuracy.Setup(VERLET, 1e-3, PRECISION, "gauss_seidel"))
+    edges = next(one for one in said if one.what.startswith("edges"))
+    assert edges.subject == "surface"
+    assert edges.cure == (
+        "a radius of 0.021 m, which keeps them out, is thicker than its parts are apart; with balls nearer to each other, and"
+        " radii in proportion, they come less deep"
+    )
+
+
 def prism(width, height, length, turned=0.0):
     """A wedge with its edge up, turned about that edge's direction [degrees], as a mesh."""
     corners = np.array([(x, y, z) for z in (0, length) for x, y in ((-width / 2, 0), (width / 2, 0), (0, height))])

@@ -96,7 +96,7 @@ def test_contacts_ask_for_more_of_a_gain() -> None:
         found = resolved(scene)
         assert found.integrator.method.name == method
         assert resolved(scene, contacts="off").integrator.method.name == "implicit_euler"
-    assert found.chosen.endswith("of the work of verlet, too little a gain where contacts may cost more")
+    assert found.chosen.endswith("of the work of verlet; auto wants less than 0.5 where contacts may cost more")
 
 
 def test_a_step_that_is_given_decides() -> None:

@@ -57,6 +57,14 @@ def test_single_precision_far_from_the_origin_is_warned_of():
         assert accuracy.single_precision(scene, setup)[1] == warned
 
 
+def test_a_place_nearer_to_the_origin_is_advised_only_where_it_helps():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 0.0], [3.0, 7.0]], radius=1e-4)
+    assert "nearer" not in accuracy.nearer(scene)
+    scene.set_balls(position=[[0.0, 60.0], [3.0, 67.0]])
+    assert "nearer to the origin" in accuracy.nearer(scene)
+
+
 def test_fine_bending_is_reported_in_single_precision():
     """A stencil of 1, -2, 1 over pieces of L / n at 1 m: the rounding of its balls, sqrt(6 / 12) ulp, over L / n^2."""
     for n, reported in ((60, False), (400, True)):

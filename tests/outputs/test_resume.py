@@ -31,6 +31,7 @@ class Steady(FakeSimulation):
     def __init__(self, step: int = 0) -> None:
         super().__init__()
         self.at, self.asked, self.readings = step, (step + 4) // 4 if step else 0, Readings(())
+        self.restored_at = self.asked  # searches count from there
 
     @property
     def time(self):

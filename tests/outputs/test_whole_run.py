@@ -8,7 +8,10 @@ from test_outputs import SIZE, FakeRenderer, draw_with
 
 import taichi_sim as ts
 from taichi_sim import UnstableError
+from taichi_sim.common import progress
+from taichi_sim.device import compiling
 from taichi_sim.outputs import checkpoints, export, open_output, whole_run
+from taichi_sim.outputs.export import _Frames
 from taichi_sim.render import Renderer
 
 pytestmark = pytest.mark.once
@@ -82,13 +85,13 @@ def _drawn(monkeypatch):
     monkeypatch.setattr(Interrupted, "ends", -1)
 
 
-def run(folder, *names, ends=-1, resume=False, **given):
+def run(folder, *names, ends=-1, resume=False, integrator="verlet", **given):
     Interrupted.ends = ends
     outputs = [
         Told(folder / name, resume) if name == "own" else open_output(f"{folder}/{name}", resume=resume)
         for name in names
     ]
-    with Interrupted(scene(), dt=1 / 240) as sim:
+    with Interrupted(scene(), dt=1 / 240, integrator=integrator) as sim:
         return export(
             sim, outputs, **{"fps": 60, "duration": (COUNT - 1) / 60, "size": SIZE, "checkpoint": None, **given}
         )
@@ -167,6 +170,54 @@ def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch)
     assert run(folder, *names, resume=True, checkpoint=1e-9).resumed == COUNT
     assert files(folder) == files(whole)
     assert Fitted.last.drawn == list(range(17, COUNT))
+
+
+def test_what_a_resumed_run_says_is_of_the_whole_run(tmp_path, monkeypatch):
+    said = {}
+
+    def note(frames, done, now, plain=_Frames.advance):
+        plain(frames, done, now)
+        said[frames.what, done] = frames.line()
+
+    monkeypatch.setattr(_Frames, "advance", note)
+    (cut := tmp_path / "cut").mkdir()
+    whole = run(tmp_path, "x.mp4", integrator="auto")
+    with pytest.raises(KeyboardInterrupt):
+        run(cut, "x.mp4", ends=21, integrator="auto", checkpoint=1e-9)
+    said.clear()
+    resumed = run(cut, "x.mp4", integrator="auto", checkpoint=1e-9, resume=True)
+    assert resumed.resumed == 21
+    assert min(done for what, done in said if what == "frames simulated") == 22
+    for (_, done), line in said.items():
+        assert "t = " not in line or f"t = {(done - 1) / 60:.4g} s" in line
+    assert any("t = " in line for line in said.values())
+    assert resumed.decisions == whole.decisions
+    assert whole.decisions[0].startswith("verlet by auto")
+    assert resumed.contacts.searches >= whole.contacts.searches  # one more after each checkpoint
+
+
+def test_the_time_left_does_not_count_compiling(monkeypatch):
+    now, compiled = [50.0], [3.0]
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(compiling, "seconds", lambda: compiled[0])
+    frames = _Frames(12)
+    frames.phase(lambda _: "compiling", "frames")
+    frames.advance(1, 0.0)
+    now[0], compiled[0] = now[0] + 94.0, compiled[0] + 90.0  # of a kernel that the second frame needs first
+    frames.advance(2, 0.1)
+    assert frames.line() == "2 of 12 frames, 0:00:40 left, 0.025 x real time, t = 0.1 s, 0.25 frames/s"
+
+
+def test_what_is_simulated_is_kept_while_it_is_drawn(tmp_path, monkeypatch):
+    """Not only up to the last checkpoint that was due."""
+    monkeypatch.setattr(Fitted, "render", lambda self, frame: (_ for _ in ()).throw(KeyboardInterrupt))
+    every = iter([True])
+    monkeypatch.setattr(checkpoints.Checkpoints, "due", property(lambda _: next(every, False)))
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, "x.mp4", checkpoint=1e-9)
+    monkeypatch.undo()
+    draw_with(monkeypatch, Fitted)
+    assert run(tmp_path, "x.mp4", resume=True).resumed == COUNT
 
 
 def test_what_needs_no_pictures_is_written_while_they_wait(tmp_path):

@@ -6,6 +6,7 @@ import re
 import shutil
 from dataclasses import fields, replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -407,6 +408,16 @@ def test_single_precision_that_cannot_meet_the_tolerance_is_said_before_the_run(
             scene, plan(precisions=("f64", "f32"), tolerance=1e-9), tmp_path / "r", progress=False, say=said.append
         )
     assert "single precision resolves about 7e-07 of the motion" in said[0]
+
+
+def test_a_scene_at_rest_is_told_to_name_a_quantity():
+    scene = ts.Scene(dim=2)
+    scene.add_balls([[0.0, 3.0]], radius=0.1)
+    only = plan(precisions=("f32",), tolerance=1e-3)
+    at_rest, moves = (list(report.coarse(scene, only, SimpleNamespace(motion=by, growth=1.0))) for by in (4e-8, 1e-5))
+    assert at_rest[1].startswith("note: balls move by 40.0 nm only")
+    assert at_rest[1].endswith("name what you want by --quantity")
+    assert len(moves) == 1
 
 
 # Chaos, and nothing at all -----------------------------------------------------------------------------------------

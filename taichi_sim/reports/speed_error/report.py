@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from taichi_sim.common.progress import showing
+from taichi_sim.common.quantities import measured
 from taichi_sim.reports.speed_error import budget as budgets
 from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
@@ -28,6 +29,7 @@ from taichi_sim.scene.scene import Scene
 from taichi_sim.studies.records import packed
 
 Say = Callable[[str], None]
+HARDLY_MOVES = 0.1  # of the motion: rounding from which a scene is at rest rather than in motion
 MESH_PATIENCE = 15.0  # times --limit that the run of a finer mesh may take
 
 
@@ -175,3 +177,6 @@ def coarse(scene: Scene, plan: Plan, reference: Reference) -> Iterator[str]:
     floor = floor_of(scene, plan, reference)
     if "f32" in plan.precisions and floor > plan.tolerance:
         yield f"note: single precision resolves about {floor:.1g} of the motion, more than the tolerance {plan.tolerance:g}"
+        if floor > HARDLY_MOVES:
+            moved = measured(reference.motion, unit="m")
+            yield f"note: balls move by {moved} only, so what rests is hardly judged by that; name what you want by --quantity"
