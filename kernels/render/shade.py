@@ -3,6 +3,7 @@
 A key light, a fill, sky, a bounce from the ground, a soft highlight; how much of each is the stage's.
 """
 
+from taichi_sim.kernels.render.patterns import hem, pattern, texture_at, woven
 from taichi_sim.kernels.render.raster import ROD, SPHERE, TRIANGLE, rod_ends, screen, to_view, vec3
 from taichi_sim.kernels.render.shadow import shadow_depth
 
@@ -15,9 +16,7 @@ INSIDE = 0.6  # of the lamp's light, in what is scattered inside a body
 INSIDE_BIAS = 2.0  # texels: a way as short is none, or those of the shadow map would show
 INSIDE_TAP = (1.0, 3.0)  # texels, the first of four places, each a quarter turn from the one before
 WEAVE, TEXTURE = 3, 4  # numbers of patterns
-WOVEN_MEAN, THREAD_SLOPE = 0.772, 0.9  # brightness of a weave, tangent at the side of a thread
-MOST_TAPS = 8.0  # places of a texture in one pixel
-ALMOST_SQUARE = 0.25  # part by which one side of a pixel may be longer than the other for one place to do
+THREAD_SLOPE = 0.9  # tangent at the side of a thread
 STRETCHED_COLOUR, COMPRESSED_COLOUR, STEEL_COLOUR = (0.62, 0.06, 0.05), (0.03, 0.16, 0.60), (0.33, 0.34, 0.36)
 
 
@@ -41,108 +40,6 @@ def spring_colour(strain):
     if strain < 0:
         end = vec3(COMPRESSED_COLOUR)
     return vec3(STEEL_COLOUR) * (1 - t) + end * t
-
-
-@ti.func
-def rise(a):
-    """Integral of a wave of 1 and -1 in turn, each for half of a unit."""
-    d = a - ti.floor(a) - ti.f32(0.5)
-    return d if ti.abs(d) < ti.f32(0.25) else (ti.f32(0.5) if d > 0 else ti.f32(-0.5)) - d
-
-
-@ti.func
-def wave(a, width):
-    """Mean over a width about a of 1 and -1 in turn, each for half of a unit."""
-    wide = ti.max(width, ti.f32(0.002))
-    return (rise(a + wide / 2) - rise(a - wide / 2)) / wide
-
-
-@ti.func
-def pattern(kind, place, width):
-    """Share of the other colour at a place in a pattern, smoothed over a width along each axis: stripes, or checks."""
-    sign = wave(place[0], width[0])
-    if kind > 1:
-        sign *= wave(place[1], width[1]) * wave(place[2], width[2])
-    return ti.f32(0.5) - ti.f32(0.5) * sign
-
-
-@ti.func
-def woven(place, width, colour, weft):
-    """Colour of a plain weave of threads, 1 apart, about a place, and the slopes of the threads along both axes; the mean of
-    both where a width holds more than one thread."""
-    x, y = place[0] - ti.floor(place[0]) - ti.f32(0.5), place[1] - ti.floor(place[1]) - ti.f32(0.5)
-    warp = (ti.cast(ti.floor(place[0]), ti.i32) + ti.cast(ti.floor(place[1]), ti.i32)) & 1
-    across, along_it, thread = x, y, colour
-    if warp == 0:
-        across, along_it, thread = y, x, weft
-    bright = (1 - ti.f32(1.6) * across * across) * (ti.f32(0.7) + ti.f32(0.3) * ti.cos(ti.f32(3.1415927) * along_it))
-    part = ti.min(ti.max(ti.f32(1.3125) - ti.f32(1.25) * ti.max(width[0], width[1]), ti.f32(0.0)), ti.f32(1.0))
-    sharp = part * part * (3 - 2 * part)  # from 0.25 to 1.05 threads in a width
-    mean = (colour + weft) * ti.f32(0.5)
-    slope = ti.Vector([x, y]) * sharp
-    return mean + (thread * (bright / ti.f32(WOVEN_MEAN)) - mean) * sharp, slope
-
-
-@ti.func
-def hem(place, width, wide):
-    """Factors of the colour and of the light that comes through at the border of a sheet, folded over once and stitched."""
-    x, y = ti.min(place[0], 1 - place[0]), ti.min(place[1], 1 - place[1])
-    inner, run, wider = x, place[1], ti.max(width[0], width[1])
-    if y < x:
-        inner, run = y, place[0]
-    fold = ti.min(ti.max((wide - inner) / ti.max(wider, ti.f32(1e-6)) + ti.f32(0.5), ti.f32(0.0)), ti.f32(1.0))
-    stitch = ti.max(1 - ti.abs(inner - ti.f32(0.8) * wide) / ti.max(ti.f32(0.1) * wide, wider), ti.f32(0.0))
-    stitch *= ti.min(ti.f32(0.1) * wide / ti.max(wider, ti.f32(1e-6)), ti.f32(1.0))
-    dash = ti.f32(0.5) + ti.f32(0.5) * wave(run / (ti.f32(0.8) * wide), wider / (ti.f32(0.8) * wide))
-    return 1 - fold * ti.f32(0.12) - ti.f32(0.5) * stitch * dash, 1 - fold * ti.f32(0.5)
-
-
-@ti.func
-def texels(scene: ti.template(), first, across, down, place):
-    """Colour between four texels of one size of a texture, whose texels begin at `first`."""
-    x = (place[0] - ti.floor(place[0])) * across - ti.f32(0.5)
-    y = (1 - place[1] + ti.floor(place[1])) * down - ti.f32(0.5)
-    i, j = ti.cast(ti.floor(x), ti.i32), ti.cast(ti.floor(y), ti.i32)
-    u, v = x - ti.floor(x), y - ti.floor(y)
-    i0, i1 = ti.max(i, 0), ti.min(i + 1, across - 1)
-    j0, j1 = ti.max(j, 0), ti.min(j + 1, down - 1)
-    upper = scene.texel[first + j0 * across + i0] * (1 - u) + scene.texel[first + j0 * across + i1] * u
-    lower = scene.texel[first + j1 * across + i0] * (1 - u) + scene.texel[first + j1 * across + i1] * u
-    return upper * (1 - v) + lower * v
-
-
-@ti.func
-def texture_at(scene: ti.template(), style, place, beside, below, low, high):
-    """Colour of a texture over a pixel, whose sides are `beside` and `below` long there: a mean along the longer one of places
-    within low and high, each between two sizes of the texture, each half the last one, that fit the shorter one."""
-    first, across, down = ti.cast(style[4], ti.i32), ti.cast(style[5], ti.i32), ti.cast(style[6], ti.i32)
-    sides = vec3(style[5], style[6], 0)
-    long, short = (beside * sides).norm(), (below * sides).norm()
-    way = beside
-    if short > long:
-        long, short, way = short, long, below
-    taps = ti.cast(
-        ti.min(ti.ceil(long / ti.max(short, ti.f32(1.0)) - ti.f32(ALMOST_SQUARE)), ti.f32(MOST_TAPS)), ti.i32
-    )
-    taps = ti.max(taps, 1)
-    wide = ti.max(short, long / taps)
-    while wide > 2 and ti.max(across, down) > 1:
-        first += across * down
-        across, down = (across + 1) // 2, (down + 1) // 2
-        wide *= ti.f32(0.5)
-    blend = ti.min(ti.max(wide - 1, ti.f32(0.0)), ti.f32(1.0))
-    if ti.max(across, down) == 1:
-        blend = ti.f32(0.0)
-    total = vec3(0, 0, 0)
-    for k in range(taps):
-        at = place + way * ((ti.cast(k, ti.f32) + ti.f32(0.5)) / taps - ti.f32(0.5))
-        at = ti.min(ti.max(at, low), high)
-        colour = texels(scene, first, across, down, at)
-        if blend > 0:
-            coarser = texels(scene, first + across * down, (across + 1) // 2, (down + 1) // 2, at)
-            colour += (coarser - colour) * blend
-        total += colour
-    return total / taps
 
 
 @ti.func
@@ -231,7 +128,7 @@ def surface(scene: ti.template(), view, eye, ray, identity, w, px, py):
                         weft = vec3(style[4], style[5], style[6])
                         if style[4] < 0:
                             weft = colour
-                        colour, slope = woven(place, wide * style[7], colour, weft)
+                        colour, slope = woven(place, ti.sqrt(beside * beside + below * below), colour, weft)
                         turned = ab[0] * ac[1] - ab[1] * ac[0]
                         tu, tv = (e1 * ac[1] - e2 * ab[1]) / turned, (e2 * ab[0] - e1 * ac[0]) / turned
                         tilt = tu / ti.max(tu.norm(), ti.f32(1e-20)) * slope[0]

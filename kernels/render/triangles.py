@@ -163,3 +163,25 @@ def find_normals(
             p = ball[k[0]].xyz
             total += (ball[k[1]].xyz - p).cross(ball[k[2]].xyz - p)
         normal[v] = total / ti.max(total.norm(), ti.f32(1e-20))
+
+
+@ti.kernel
+def even_normals(
+    normal_of: ti.template(),
+    start: ti.template(),
+    incident: ti.template(),
+    which: ti.template(),
+    normal: ti.template(),
+    evened: ti.template(),
+    count: ti.i32,
+):
+    """Mean, for each of some normals, of those at the corners of its triangles: a third of it is its own."""
+    for i in range(count):
+        v = which[i]
+        total = vec3(0, 0, 0)
+        for e in range(start[v], start[v + 1]):
+            k = normal_of[incident[e]]
+            total += normal[k[0]] + normal[k[1]] + normal[k[2]]
+        evened[i] = total / ti.max(total.norm(), ti.f32(1e-20))
+    for i in range(count):
+        normal[which[i]] = evened[i]

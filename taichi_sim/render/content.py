@@ -140,14 +140,17 @@ def enclosed(frame: Frame) -> NDArray[np.bool_]:
 def _smoothing(
     frame: Frame, triangles: NDArray, binding: Binding, bodies: Bodies, crease: float, x: NDArray
 ) -> Smoothing:
-    """Smoothing of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp
-    edges."""
+    """Smoothing of surfaces and colliders. Sheets that are flat by nature, those with places on a texture, have no sharp edges.
+    Their normals are evened: of their squares, cut in turns, all those under a slanted fold may be cut across it, and shading
+    between corners would show teeth. What is finer than the balls is smooth already."""
     flat = np.zeros(len(x) + len(binding), dtype=bool)
     for one in frame.objects:
         flat[one.balls] = one.is_sheet
     flat[len(x) :] = binding.apply(flat[: len(x)]) > 0.5
     points = np.concatenate([x, binding.apply(x)])
-    own = Smoothing.of(points, triangles, crease, flat[triangles].all(axis=1))
+    soft = flat[triangles].all(axis=1)
+    own = Smoothing.of(points, triangles, crease, soft)
+    own = own._replace(evened=np.unique(own.normal_of[soft & (triangles < len(x)).all(axis=1)]))
     return own.joined(Smoothing.of(bodies.vertices, bodies.triangles, 180.0).closed())
 
 

@@ -47,6 +47,9 @@ class Buffers:
             self.texel = fields.vectors(len(content.styles.texel), 3)
             self.incident = fields.integers(3 * t)
             self.start, self.normal = fields.integers(3 * t + 1), fields.vectors(3 * t, 3)
+            self.has_evened = _has_evened(content)
+            room = 3 * t if self.has_evened else 1
+            self.which_evened, self.evened = fields.integers(room), fields.vectors(room, 3)
         if self.has_bound:
             entries = content.binding.weights.nnz
             self.bound_start = fields.integers(len(content.binding) + 1)
@@ -64,7 +67,8 @@ class Buffers:
         sizes = _sizes(content)
         fits = all(0 < now <= capacity or now == capacity for now, capacity in zip(sizes[1:3], self.capacity[1:3]))
         same = (sizes[0], *sizes[3:]) == (self.capacity[0], *self.capacity[3:])
-        return fits and same and self.has_spheres == bool(np.any(content.radius > 0))
+        kinds = self.has_spheres == bool(np.any(content.radius > 0))
+        return fits and same and kinds and (not self.has_triangles or self.has_evened == _has_evened(content))
 
     def load(self, content: Content, colour: NDArray, unit: float) -> None:
         """Take over what does not change from frame to frame; colour linear."""
@@ -106,6 +110,9 @@ class Buffers:
         self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * t))
         self.normal_of.from_numpy(padded(smoothing.normal_of, t))
         self.part.from_numpy(padded(smoothing.part, t))
+        self._evened = len(smoothing.evened)
+        if self.has_evened:
+            self.which_evened.from_numpy(padded(smoothing.evened, 3 * t))
 
     def _load_styles(self, styles: Styles) -> None:
         self.style.from_numpy(styles.rows)
@@ -162,6 +169,9 @@ class Buffers:
 
     def find_normals(self) -> None:
         triangles.find_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.normals)
+        if self.has_evened:
+            corners = self.normal_of, self.start, self.incident
+            triangles.even_normals(*corners, self.which_evened, self.normal, self.evened, self._evened)
 
     def close(self) -> None:
         self._fields.free()
@@ -173,6 +183,10 @@ def _sizes(content: Content) -> tuple[int, ...]:
     more = (0, 0) if bodies is None else (len(bodies.vertices), len(bodies.triangles))
     n = len(content.radius)
     return n + len(binding) + more[0], len(content.rods), len(content.triangles) + more[1], n, binding.weights.nnz
+
+
+def _has_evened(content: Content) -> bool:
+    return content.smoothing is not None and len(content.smoothing.evened) > 0
 
 
 def padded(values: NDArray, rows: int) -> NDArray:

@@ -16,11 +16,13 @@ CREASE = 40.0  # degrees between triangles, from which their edge is sharp
 class Smoothing(NamedTuple):
     """Shading of t triangles. normal_of (t, 3): number of the normal at each corner, which corners that meet at a vertex
     share unless a sharp edge parts them. part (t,): number of the smooth part, bounded by sharp edges, that a triangle
-    belongs to. sheet (t,): it is of a surface with a border, of which both sides are seen."""
+    belongs to. sheet (t,): it is of a surface with a border, of which both sides are seen. evened (k,): numbers of normals that
+    are averaged with those next to them."""
 
     normal_of: NDArray[np.int32]
     part: NDArray[np.int32]
     sheet: NDArray[np.bool_]
+    evened: NDArray[np.int32] = np.zeros(0, np.int32)
 
     @classmethod
     def of(cls, points: NDArray, triangles: NDArray, crease: float, soft: NDArray | None = None) -> "Smoothing":
@@ -68,4 +70,5 @@ class Smoothing(NamedTuple):
             np.concatenate([self.normal_of, other.normal_of + self.normals]).astype(np.int32),
             np.concatenate([self.part, other.part + len(self.part)]).astype(np.int32),
             np.concatenate([self.sheet, other.sheet]),
+            np.concatenate([self.evened, other.evened + self.normals]).astype(np.int32),
         )
