@@ -170,18 +170,19 @@ def even_normals(
     normal_of: ti.template(),
     start: ti.template(),
     incident: ti.template(),
-    which: ti.template(),
     normal: ti.template(),
     evened: ti.template(),
-    count: ti.i32,
 ):
-    """Mean, for each of some normals, of those at the corners of its triangles: a third of it is its own."""
-    for i in range(count):
-        v = which[i]
-        total = vec3(0, 0, 0)
-        for e in range(start[v], start[v + 1]):
-            k = normal_of[incident[e]]
-            total += normal[k[0]] + normal[k[1]] + normal[k[2]]
-        evened[i] = total / ti.max(total.norm(), ti.f32(1e-20))
-    for i in range(count):
-        normal[which[i]] = evened[i]
+    """Mean, for each of some normals, of those at the corners of its triangles: a third of it is its own. evened: their numbers,
+    -1 where there is none, and room for the means."""
+    for i in range(evened.shape[0]):
+        v = evened[i].of
+        if v >= 0:
+            total = vec3(0, 0, 0)
+            for e in range(start[v], start[v + 1]):
+                k = normal_of[incident[e]]
+                total += normal[k[0]] + normal[k[1]] + normal[k[2]]
+            evened[i].mean = total / ti.max(total.norm(), ti.f32(1e-20))
+    for i in range(evened.shape[0]):
+        if evened[i].of >= 0:
+            normal[evened[i].of] = evened[i].mean

@@ -49,7 +49,7 @@ class Buffers:
             self.start, self.normal = fields.integers(3 * t + 1), fields.vectors(3 * t, 3)
             self.has_evened = _has_evened(content)
             room = 3 * t if self.has_evened else 1
-            self.which_evened, self.evened = fields.integers(room), fields.vectors(room, 3)
+            self.evened = fields.table({"of": ti.i32, "mean": ti.types.vector(3, ti.f32)}, room)
         if self.has_bound:
             entries = content.binding.weights.nnz
             self.bound_start = fields.integers(len(content.binding) + 1)
@@ -110,9 +110,8 @@ class Buffers:
         self.incident.from_numpy(padded((order // 3).astype(np.int32), 3 * t))
         self.normal_of.from_numpy(padded(smoothing.normal_of, t))
         self.part.from_numpy(padded(smoothing.part, t))
-        self._evened = len(smoothing.evened)
         if self.has_evened:
-            self.which_evened.from_numpy(padded(smoothing.evened, 3 * t))
+            self.evened.of.from_numpy(padded(smoothing.evened + 1, 3 * t) - 1)
 
     def _load_styles(self, styles: Styles) -> None:
         self.style.from_numpy(styles.rows)
@@ -171,7 +170,7 @@ class Buffers:
         triangles.find_normals(self.ball, self.corner, self.start, self.incident, self.normal, self.normals)
         if self.has_evened:
             corners = self.normal_of, self.start, self.incident
-            triangles.even_normals(*corners, self.which_evened, self.normal, self.evened, self._evened)
+            triangles.even_normals(*corners, self.normal, self.evened)
 
     def close(self) -> None:
         self._fields.free()

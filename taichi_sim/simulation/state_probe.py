@@ -99,13 +99,8 @@ class StateProbe:
                         height -= ti.cast(self.model.gravity[0][a], self.wide) * ti.cast(ball.x[a], self.wide)
                     gravity += height / w
                     weight += ti.abs(height) / w
-            if ti.static(self.has_springs):
-                elastic += self.share * law.stored(self.state.ball, self.springs, i, self.wide)
-            for force in ti.static(self.stores):
-                elastic += force.stored(self.state.ball, i, self.wide)
-            if ti.static(self.model.has_gravity):
-                for part in ti.static(self.contacts):
-                    lift += part.lift(self.state.ball, i)
+            elastic += self._stored(i)
+            lift += self._lift(i)
         row[c, reductions.BAD] = ti.cast(bad, self.wide)
         row[c, reductions.SPEED] = fastest
         row[c, reductions.KINETIC] = kinetic
@@ -113,6 +108,25 @@ class StateProbe:
         row[c, reductions.GRAVITY] = gravity
         row[c, reductions.WEIGHT] = weight
         row[c, reductions.LIFT] = lift
+
+    @ti.func
+    def _stored(self, i):
+        """Share of ball i of what springs and other forces hold [J]."""
+        energy = ti.cast(0.0, self.wide)
+        if ti.static(self.has_springs):
+            energy += self.share * law.stored(self.state.ball, self.springs, i, self.wide)
+        for force in ti.static(self.stores):
+            energy += force.stored(self.state.ball, i, self.wide)
+        return energy
+
+    @ti.func
+    def _lift(self, i):
+        """Energy [J] that gravity may hold more once ball i is pushed out of what it overlaps."""
+        energy = ti.cast(0.0, self.wide)
+        if ti.static(self.model.has_gravity):
+            for part in ti.static(self.contacts):
+                energy += part.lift(self.state.ball, i)
+        return energy
 
     @ti.func
     def _turn(self, i):
