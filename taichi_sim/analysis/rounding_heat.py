@@ -38,7 +38,7 @@ def heat_of_rounding(scene: Scene, h: float, elements: bool) -> float:
 
 
 def _stiff(scene: Scene, elements: bool) -> Iterator[Quadratic]:
-    """What is stiff, as it is at the start."""
+    """Springs and elements as they are at the start."""
     if scene.n_springs:
         along = scene.position[scene.pairs[:, 1]] - scene.position[scene.pairs[:, 0]]
         n: NDArray[np.float64] = along / np.maximum(np.linalg.norm(along, axis=1), ALIKE)[:, None]
