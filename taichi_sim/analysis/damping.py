@@ -13,16 +13,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.element_rates import element_rates
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue, over
 from taichi_sim.scene.scene import Scene
 
-__all__ = ["MOST_STAGES", "Stages", "decay", "is_weak", "lone", "predicts_damping", "softened", "stages"]
+__all__ = ["MOST_STAGES", "Stages", "decay", "is_weak", "keep_energy", "lone", "predicts_damping", "softened", "stages"]
 
 Floats = NDArray[np.float64]
 
 FEW = 0.8  # z up to which one product for each half will do: R = 1 - 2 z + 2 z^2 of both, 0.68 there and 1 at z = 1
 TWO = 1.3  # z up to which two are taken: R = 1 - z + z^2 / 2 has its least value at 1
 MOST_STAGES = 61  # of half a step
+HARDLY = 0.01  # of what is critical: damping of the fastest motion that leaves heat of rounding in
 GENTLE = 0.9  # part of the undamped step that damping at predicted velocities must leave Verlet
 AFTER = np.array([[0.0, 0.0, 1.0, 0.0]])  # R = 1 - z
 BEFORE = np.array([[0.0, 0.0, 1.0, 1.0]])  # the same, and the damping of what that half before it changed
@@ -49,6 +51,16 @@ def is_weak(scene: Scene, k: Floats, c: Floats) -> bool:
     times the undamped step."""
     h = GENTLE * over(2.0, float(np.sqrt(largest_eigenvalue(scene, k)[0])))
     return bool(np.isfinite(h)) and h * h * largest_eigenvalue(scene, k + 4.0 * c / h)[0] <= 4.0
+
+
+def keep_energy(scene: Scene) -> bool:
+    """True if a scene's membranes, bricks or solids are hardly damped, so that random kicks by rounding heat them."""
+    takes = (scene.membrane_damping, scene.brick_viscosity, scene.solid_viscosity)
+    if not any(len(damping) for damping in takes):
+        return False
+    rates = element_rates(scene)
+    weak = rates.damping - rates.drag < 2.0 * HARDLY * np.sqrt(rates.elastic)
+    return weak or any(bool(np.any(damping == 0.0)) for damping in takes)
 
 
 def lone(scene: Scene) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from taichi_sim.analysis.coarse_meshes import ropes
 from taichi_sim.analysis.late_impacts import late_share
+from taichi_sim.analysis.rounding_heat import CURE, WHY
 from taichi_sim.common.quantities import measured
 from taichi_sim.scene.scene import Scene
 
@@ -54,8 +55,8 @@ class Scales(NamedTuple):
     and elastic energy that the one at the start explains, 0 where it is not known; risen [J]: the most by which the total was
     above the least before; gained: the most that a step gave, where that is wrong, in parts of the largest kinetic energy;
     climbed: the same of steps together. touches: there may be contacts, or there were. starts_deep: balls were seen that overlap
-    deeply at the start. rounding [J]: by which sums of energy may be off. rows: sticks or surfaces collide, of whose contacts no
-    residual is known."""
+    deeply at the start. rounding [J]: by which sums of energy may be off; heat [J]: the most that rounding of places may have
+    added, see rounding_heat. rows: sticks or surfaces collide, of whose contacts no residual is known."""
 
     slow: float
     drivers: tuple[str, ...]
@@ -75,6 +76,7 @@ class Scales(NamedTuple):
     gained: float = 0.0
     climbed: float = 0.0
     rounding: float = 0.0
+    heat: float = 0.0
     rows: bool = False
 
 
@@ -180,6 +182,9 @@ def of_energy(start: float, end: float, scales: Scales) -> str:
         return f"{_listed(scales.drivers)} {DRIVEN}" if abs(part) > KEPT else ""
     much = f"{_times(abs(part))} the largest energy in motion, {scales.motion:.4g} J"
     kept = max(KEPT, scales.swing * min(1.0, max(0.0, scales.elastic)) ** scales.swing_power)
+    held = scales.held or scales.motion
+    if KEPT * held < end - start <= scales.heat:  # no swing, which would hide it
+        return f"gained {end - start:.4g} J, {_times((end - start) / held)} {_of_held(scales)}: wrong; {WHY}: {CURE}"
     if rose := _rose(start, end, scales, kept):
         return f"{rose}; {scales.gains or 'nothing in the scene explains it'}: {scales.cure}"
     grade = _grade(abs(part), kept, max(LOST, kept))
@@ -202,12 +207,18 @@ def _rose(start: float, end: float, scales: Scales, kept: float) -> str:
     empty where it is no more than methods keep to."""
     held = scales.held or scales.motion
     gained, risen = (end - start) / held, scales.risen / held
-    of = f"the largest energy in motion{' that the start explains' if scales.held else ''}, {held:.4g} J"
+    of = _of_held(scales)
     if risen > max(LOST, scales.swing, gained):
         return f"rose by up to {scales.risen:.4g} J above the least before, {_times(risen)} {of}: wrong"
     if gained > kept:
         return f"gained {end - start:.4g} J, {_times(gained)} {of}: {_grade(gained, kept, max(LOST, kept))}"
     return ""
+
+
+def _of_held(scales: Scales) -> str:
+    """The energy in words that gains are parts of."""
+    explained = " that the start explains" if scales.held else ""
+    return f"the largest energy in motion{explained}, {scales.held or scales.motion:.4g} J"
 
 
 def _times(part: float) -> str:

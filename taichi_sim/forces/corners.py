@@ -87,6 +87,9 @@ class Corners:
         """True if implicit methods solve for its forces, as it gives their derivatives."""
         return type(self).corner_product is not Corners.corner_product
 
+    def allocate_places(self, fields: Fields, real: Any) -> None:
+        """Declare copies of places, if any; real: the type of those that `accumulate` is handed."""
+
     @ti.func
     def is_whole(self, e):
         """True if the element of row e is whole."""
@@ -100,7 +103,7 @@ class Corners:
         """Each ball gathers from its elements."""
         self.prepare(ball)
         for i in range(self.n):
-            impulse[i] = impulse[i] + h * self.force_on(ball, i, time)
+            impulse[i] = impulse[i] + h * ti.cast(self.force_on(ball, i, time), float)
 
     @ti.func
     def prepare(self, ball: ti.template()):

@@ -1,5 +1,7 @@
 """Membranes: triangles of an orthotropic St. Venant-Kirchhoff material, with damping by the rate of strain."""
 
+from typing import Any
+
 import numpy as np
 
 from taichi_sim.device.engine import ti
@@ -54,14 +56,19 @@ class Membranes(Corners):
             self.give = fields.table({"share": real, "across": vector, "turn": vector}, self.count)
         self.scatters = model.serial and not np.isfinite(scene.break_strain).any()
         if self.scatters:
-            four = ti.types.vector(padded_blocks.width(3), real)
-            self.padded = fields.table({"x": four, "v": four} if self.damped else {"x": four}, model.n)
             self.sum = fields.vectors(model.n, padded_blocks.width(3))
         else:
             self.given = self.force = fields.vectors(3 * self.count, 3)
         # triangle after triangle, so that each ball adds them in the order in which one thread does
         others = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
         self.gather(model, fields, others, corners.ravel(), {"place": ti.i32}, {"place": np.arange(3 * self.count)})
+
+    def allocate_places(self, fields: Fields, real: Any) -> None:
+        """Declare the copies that one thread reads."""
+        if self.scatters:
+            kinds = {"x": real, "v": fields.real} if self.damped else {"x": real}
+            four = {name: ti.types.vector(padded_blocks.width(3), kind) for name, kind in kinds.items()}
+            self.padded = fields.table(four, self.n)
 
     @ti.func
     def _slope(self, a, b, c, of):
@@ -118,16 +125,17 @@ class Membranes(Corners):
         """Add h times the forces [N s]."""
         if ti.static(self.scatters):
             for i in range(self.n):
-                self.padded[i].x = padded_blocks.pad(ball[i].x, 3)
+                for k in ti.static(range(3)):
+                    self.padded[i].x[k] = ball[i].x[k]
                 if ti.static(self.damped):
                     self.padded[i].v = padded_blocks.pad(ball[i].v, 3)
             for t in range(self.count):
                 of = self.triangle[t]
                 u, v = self._slope(self.padded[of.a].x, self.padded[of.b].x, self.padded[of.c].x, of)
                 a, b, c = self._corner_forces(u, v, self._whole_stress(self.padded, u, v, of), of)
-                self.sum[of.a] = self.sum[of.a] + a  # a bare += would be atomic
-                self.sum[of.b] = self.sum[of.b] + b
-                self.sum[of.c] = self.sum[of.c] + c
+                self.sum[of.a] = self.sum[of.a] + ti.cast(a, float)  # a bare += would be atomic
+                self.sum[of.b] = self.sum[of.b] + ti.cast(b, float)
+                self.sum[of.c] = self.sum[of.c] + ti.cast(c, float)
             for i in range(self.n):
                 impulse[i] = impulse[i] + h * padded_blocks.cut(self.sum[i], 3)
                 self.sum[i] = ti.Vector.zero(float, 4)  # for the next step

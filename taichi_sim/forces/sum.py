@@ -29,6 +29,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
+from taichi_sim.analysis.damping import keep_energy
 from taichi_sim.analysis.element_rates import declared_rates
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
@@ -67,7 +68,20 @@ class TotalForce:
             self.damping_impulse = fields.vectors(model.n, model.dim)
 
     def allocate(self, state: State, fields: Fields) -> None:
-        """Allocate the fields of the user's forces."""
+        """Allocate the fields of the user's forces, and, where elements lose no energy, `sharp` (n): balls with x in double
+        precision, their places and what rounding took from these. Stiff elements make random kicks of it, which heat."""
+        self.state, self.wide = state, fields.wide
+        refined = [one for one in self.elements if one.refined and one.implicit]
+        known = state.compensated and fields.widens and keep_energy(self.model.scene)
+        self.refined = refined if known else []
+        if self.refined:
+            vector = {
+                "x": ti.types.vector(self.model.dim, fields.wide),
+                "v": ti.types.vector(self.model.dim, fields.real),
+            }
+            self.sharp = fields.table(vector, self.n)
+        for one in self.elements:
+            one.allocate_places(fields, fields.wide if one in self.refined else fields.real)
         for force in self.extra:
             if hasattr(force, "allocate"):
                 force.allocate(self.model, state, fields)
@@ -116,8 +130,19 @@ class TotalForce:
         if ti.static(self.has_impulse and not self.has_springs):
             for i in range(self.n):
                 self.impulse[i] = ti.Vector.zero(float, self.model.dim)
+        if ti.static(self._sharpens(ball)):
+            for i in range(self.n):
+                self.sharp[i].x = ti.cast(ball[i].x, self.wide) + ti.cast(self.state.low[i].x, self.wide)
+                self.sharp[i].v = ball[i].v
         for force in ti.static(self.extra):
-            force.accumulate(self.model, ball, self.impulse, h, time)
+            if ti.static(force in self.refined and self._sharpens(ball)):
+                force.accumulate(self.model, self.sharp, self.impulse, h, time)
+            else:
+                force.accumulate(self.model, ball, self.impulse, h, time)
+
+    def _sharpens(self, ball: Any) -> bool:
+        """True if some elements act, and rounding is known of the places of these balls."""
+        return bool(self.refined) and ball is self.state.ball
 
     @ti.func
     def external(self, ball: ti.template(), h, time):

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from taichi_sim.analysis.damping import keep_energy
 from taichi_sim.analysis.methods import Method
 from taichi_sim.common import validation
 from taichi_sim.common.errors import SceneError
@@ -65,7 +66,7 @@ class Integrator:
 
     def refines(self, scene: Scene) -> bool:
         """True if steps of that scene read what rounding took from places."""
-        return False
+        return keep_energy(scene)
 
     def damping(self, model: Model, h: float) -> NDArray:
         """Spring damping (m,) [N s/m] as this method wants it for substeps of h seconds."""

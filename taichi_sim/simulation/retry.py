@@ -56,7 +56,7 @@ class Retry:
         growth = run.monitor.judge(sample) if whole else run.monitor.growth(sample, run.largest_motion)
         if growth is None:
             run.largest_motion = max(run.largest_motion, sample.motion)
-        elif not run.may_shorten:
+        elif not run.may_shorten or run.checks.is_heat(growth):
             run.checks.warn_of(growth)
         elif whole:
             self._shorten(growth)

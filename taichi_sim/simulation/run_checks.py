@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taichi_sim.analysis.outcome import DEEP, SHORTER, STARTS_DEEP, Scales, cure_of_depth, gained_in_steps, takers
+from taichi_sim.analysis.rounding_heat import CURE, MARGIN, WHY, heat_of_rounding
 from taichi_sim.analysis.spring_bounds import largest_eigenvalue
 from taichi_sim.analysis.stability import explicit_parts, present_limit
 from taichi_sim.analysis.strikes import unanswered
@@ -104,9 +105,22 @@ class RunChecks:
             gained=run.division.gained,
             climbed=run.division.climbed,
             rounding=run.monitor.rounding,
+            heat=self.heat(),
             touches=touches,
             rows=bool(self.scene.solid.any() or self.scene.collides.any()),
         )
+
+    def heat(self) -> float:
+        """The most energy [J] that rounding of places may have added to what is stiff, by an explicit method."""
+        run, limit = self.run, self.run.method.limit
+        if not self._single or limit is None or not limit.by_springs:
+            return 0.0
+        power = heat_of_rounding(self.scene, run.h, elements=not run.parts.forces.refined)
+        return MARGIN * power * float(run.time - run.begin)
+
+    def is_heat(self, growth: Growth) -> bool:
+        """True if rounding of places explains a growth that nothing else does: shorter steps would hardly lessen it."""
+        return growth.sure and growth.after - growth.before <= self.heat()
 
     # Looks -----------------------------------------------------------------------------------------------------------
 
@@ -209,7 +223,7 @@ class RunChecks:
             too_long = f"the step of {run.h:.6g} s is too long: in this shape {self.limiting(spring, limit)}"
             self.warn("growth", f"{grew}, because {too_long}")
             return
-        why, cure = self._why_energy_grows()
+        why, cure = (WHY, CURE) if self.is_heat(growth) else self._why_energy_grows()
         cause = f"as {why}" if why else "which nothing explains"
         more = ", or more contact_iterations" if run.parts.contacts.active and not why else ""
         self.warn("growth", f"{grew}, {cause}; {run.h:.6g} s is used: {cure}{more}")
