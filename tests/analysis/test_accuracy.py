@@ -593,18 +593,19 @@ def test_check_names_edges_that_come_through_cloth_and_the_radius_that_keeps_the
 
 @pytest.mark.once
 def test_check_asks_for_no_radius_that_parts_of_the_surface_are_too_near_for():
-    """A jelly whose skin has sharp corners, on an edge; a sheet, where any radius fits."""
+    """A jelly whose skin has sharp corners, on an edge of 90 degrees. That comes through diagonals of squares of 0.06 m by most:
+    0.06 sqrt(2) cos(45 degrees) / 2 keeps it out."""
     scene = ts.Scene(dim=3)
     scene.add_collider(ts.Box((0, 0.2, 0), (0.4, 0.4, 0.4)))
     ts.shapes.jelly(
-        scene, size=(0.18, 0.18, 0.18), spacing=0.06, position=(0, 0.6, 0), density=200.0, young_modulus=3e4,
+        scene, size=(0.18, 0.18, 0.18), resolution=(4, 4, 4), position=(0, 0.6, 0), density=200.0, young_modulus=3e4,
         surface_collision=True,
     )  # fmt: skip
     said = accuracy.findings(scene, accuracy.Setup(VERLET, 1e-3, PRECISION, "gauss_seidel"))
     edges = next(one for one in said if one.what.startswith("edges"))
     assert edges.subject == "surface"
     assert edges.cure == (
-        "a radius of 0.021 m, which keeps them out, is thicker than its parts are apart; with balls nearer to each other, and"
+        "a radius of 0.03 m, which keeps them out, is thicker than its parts are apart; with balls nearer to each other, and"
         " radii in proportion, they come less deep"
     )
 
