@@ -29,9 +29,8 @@ class Observer:
     def note(self, frame: Frame) -> None:
         """Give the present frame what the simulation says of contacts and probes, and note it."""
         sim, scene, summary = self.simulation, self.simulation.scene, self.summary
-        contacts, probes = sim.contacts(), sim.probes()
+        frame.contacts, frame.probes = contacts, probes = sim.contacts(), sim.probes()
         contacts = contacts._replace(searches=self._searches + contacts.searches)
-        frame.contacts, frame.probes = contacts, probes
         summary.frames += 1
         if scene.n_volumes() <= WATCHED_CELLS:
             self._count_inverted(inverted(scene, frame.position, frame.torn_springs))
