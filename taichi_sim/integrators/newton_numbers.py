@@ -45,7 +45,7 @@ __all__ = [
     "Stage",
 ]
 
-MOST_ITERATIONS = 100  # of Newton's method
+MOST_ITERATIONS = 300  # of Newton's method: crumpled steel takes more than 200 in a step of 1/60 s
 PATIENT_ITERATIONS = 20  # after which none may raise the potential
 MOST_SEARCHES = 2000  # iterations of conjugate gradients in one of them
 MOST_TRIES = 8  # halvings of a change that went too far
