@@ -1,4 +1,4 @@
-"""What rounding adds to the energy of stiff elements that nothing damps, in explicit methods."""
+"""Energy that rounding adds to stiff elements that nothing damps, in explicit methods."""
 
 import warnings
 
@@ -25,7 +25,7 @@ def bar(scene):
 
 
 def solid(scene):
-    """The same of undamped triangles in a plane."""
+    """Bar of undamped triangles in a plane, pinned at one end."""
     x = np.stack(np.meshgrid(np.linspace(0.0, 1.5, 31), np.linspace(0.0, 0.1, 3), indexing="ij"), axis=2).reshape(-1, 2)
     grid = scene.add_balls(x, mass=0.5, radius=0.01, pinned=np.arange(3)).reshape(31, 3)
     a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]

@@ -79,7 +79,7 @@ def iterations(edges, n, held):
 
 
 def mixed(edges, n):
-    """The same graph, its nodes numbered at random, and the new number of each."""
+    """A graph with its nodes numbered at random, and the new number of each."""
     number = np.random.default_rng(8).permutation(n)
     return number[edges], number
 
