@@ -52,6 +52,8 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.long)
         if item.get_closest_marker("long") or _is_where(item, "slow_where"):
             item.add_marker(pytest.mark.slow)
+        if item.get_closest_marker("long"):
+            item.add_marker(pytest.mark.timeout(0))
         if PRECISION == "f64" and item.get_closest_marker("slow") and not item.get_closest_marker("long_in"):
             item.add_marker(pytest.mark.long)  # what takes so long is run in one precision but by `make test-long`
     if os.environ.get("TAICHI_SIM_PRECISION") == "f64" or (of_device and PRECISION == "f64"):  # f32 has its own run

@@ -116,9 +116,15 @@ class Membranes(Corners):
         stress = elastic(strain, of)
         if ti.static(self.folds):
             stress = folded(strain, of)[0]
+        return self._damp(stress, ball, u, v, of)
+
+    @ti.func
+    def _damp(self, stress, ball: ti.template(), u, v, of):
+        """Stress plus that of damping, times the area."""
+        whole = stress
         if ti.static(self.damped):
-            stress += of.damping * elastic(self._rate(ball, u, v, of), of)
-        return stress
+            whole += of.damping * elastic(self._rate(ball, u, v, of), of)
+        return whole
 
     @ti.func
     def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):
@@ -192,12 +198,14 @@ class Membranes(Corners):
             u, v = self._slope(ball[of.a].x, ball[of.b].x, ball[of.c].x, of)
             self.state[t].u = ti.cast(u, float)
             self.state[t].v = ti.cast(v, float)
-            self.state[t].stress = ti.cast(tensile(self._whole_stress(ball, u, v, of)), float)
+            strain = self._strain(u, v)
+            stress = elastic(strain, of)
             if ti.static(self.folds):
-                _, _, share, across, turn = folded(self._strain(u, v), of)
+                stress, _, share, across, turn = folded(strain, of)
                 self.give[t].share = ti.cast(share, float)
                 self.give[t].across = ti.cast(across, float)
                 self.give[t].turn = ti.cast(turn, float)
+            self.state[t].stress = ti.cast(tensile(self._damp(stress, ball, u, v, of)), float)
 
     @ti.func
     def _factor(self, t, of, s):
