@@ -20,6 +20,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    os.environ.pop("CI", None)  # with it pytest explains, for hours, how two files of megabytes differ
     if config.getoption("--arch") == "vulkan":
         offer_software(config)
 

@@ -64,7 +64,7 @@ class Contacts(NamedTuple):
     iterations: int  # of each solve
     substeps: int  # solves in a step
     largest_speed: float  # m/s, of a ball
-    searches: int  # for neighbours, since the simulation was made
+    searches: int  # for neighbours, since the simulation was made or restored
     # m/s: the same of contacts that the last solve held already: what iterations left. Not known of sticks and surfaces, nor of
     # balls where nothing presses: 0
     unsolved: float = 0.0

@@ -113,7 +113,8 @@ class Own(Output):
 
     def write(self, index, frame, image):
         with open(self.path, "ab" if index else "wb") as file:
-            said = (index, frame.time, frame.energy, frame.contacts, *frame.position.ravel())
+            contacts = frame.contacts._replace(searches=0)  # which a simulation that is restored counts anew
+            said = (index, frame.time, frame.energy, contacts, *frame.position.ravel())
             file.write(repr(said).encode() + image.tobytes())
 
 
