@@ -156,6 +156,7 @@ def test_springs_on_a_floor_bear_the_weight_above_them(method, h, within):
         assert load_of_lowest_spring(scene, sim) == pytest.approx(G * (n - 1), rel=within)
 
 
+@pytest.mark.slow
 def test_bodies_under_others_bear_as_much_too_much_as_said():
     """Two columns, one on the other: the springs on both sides of their contact, and a warning before a run."""
     n, stiffness, damping, h = 4, 6e4, 30.0, 1 / 300

@@ -261,6 +261,7 @@ def crowd():
     return crowd
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("make", "settings"),
     [

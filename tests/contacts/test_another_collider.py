@@ -85,6 +85,7 @@ def _known(monkeypatch):
     importlib.reload(toml_schema)
 
 
+@pytest.mark.once
 @pytest.mark.usefixtures("_known")
 def test_another_collider_is_met_written_and_read(tmp_path):
     """A ball rests on the cut, which looks up, beside a box on which another one does."""

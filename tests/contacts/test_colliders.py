@@ -415,6 +415,7 @@ def test_what_rests_on_a_floor_that_leaves_at_once_falls_from_then_on(method):
             assert np.abs(sim.velocity[:, 1] - (v - g * k * h)).max() < 100 * EPS * speed
 
 
+@pytest.mark.slow_where(friction=0.4)
 @pytest.mark.skipif(not F64, reason="a balance to rounding")
 @pytest.mark.parametrize("friction", [0.0, 0.4])
 @pytest.mark.parametrize("method", ["implicit_euler", pytest.param("tr_bdf2", marks=pytest.mark.slow)])

@@ -539,6 +539,7 @@ def pinched(floor, speed):
         return sim.velocity[:12] - moves
 
 
+@pytest.mark.slow_where(floor="box")
 @pytest.mark.skipif(not F64, reason="balls that are pinched amplify the rounding of single precision")
 @pytest.mark.parametrize("floor", ["box", "pins"])
 def test_a_ball_pinched_by_what_moves_goes_as_seen_from_there(floor):

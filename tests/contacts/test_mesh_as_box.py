@@ -75,6 +75,7 @@ def bin_mesh(half, wall, height):
     return np.array(corners), np.array(triangles)
 
 
+@pytest.mark.slow
 @pytest.mark.long_in("f64")  # which has no tolerance of its own
 def test_balls_wider_than_cells_come_to_rest_in_the_corners_of_a_bin():
     """Distances halfway between two faces are those of the nearer one, at any depth of the corner: values that interpolate

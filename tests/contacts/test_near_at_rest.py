@@ -47,6 +47,7 @@ def scene(tmp_path):
     return out
 
 
+@pytest.mark.slow
 def test_what_is_near_at_rest_gains_no_energy(scene):
     """In flight, where only noise moves it, and where it hits."""
     with simulate(scene, dt=H) as sim:

@@ -27,6 +27,7 @@ def wedge(dim, walls, friction, degrees, drop):
     return scene, rest
 
 
+@pytest.mark.long_in("f64")
 @pytest.mark.parametrize(
     ("method", "dt", "dim", "walls", "friction"),
     [

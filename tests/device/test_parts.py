@@ -129,6 +129,7 @@ def test_a_launch_is_prepared_once_for_many_substeps(monkeypatch):
                 assert all(launch.__qualname__.startswith("_FastKernel") for launch in prepared)
 
 
+@pytest.mark.slow
 def test_one_thread_runs_large_scenes_fused_too(monkeypatch):
     """Between launches of at most so much work the host hears of Ctrl-C; the bits are those of the other driver."""
     scene = ts.Scene(dim=2, gravity=(0.0, -8.0))

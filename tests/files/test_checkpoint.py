@@ -156,6 +156,7 @@ def _edited(path, signed=False, **changes):
     np.savez(path, about=np.array(json.dumps(about)), **arrays)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "edit",
     [

@@ -44,6 +44,7 @@ def test_a_free_body_in_flight_is_solved_at_once(body, method):
         assert np.abs(sim.velocity - VELOCITY).max() < 10.0 * rounding * np.abs(sim.position).max()
 
 
+@pytest.mark.slow
 @pytest.mark.once  # single precision is where it would turn
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 @pytest.mark.parametrize("young_modulus", [3e4, 3e8])

@@ -51,6 +51,7 @@ def grid_of_balls(scene, mass):
     return scene.add_balls(x.reshape(-1, 2), mass=mass, radius=0.01).reshape(NUMBER)
 
 
+@pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.long_in("f64")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 @pytest.mark.parametrize(

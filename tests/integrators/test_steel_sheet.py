@@ -32,6 +32,7 @@ def test_a_sheet_of_steel_gains_no_energy(method):
     assert found.misses == 0
 
 
+@pytest.mark.long_in("f64")
 def test_a_stiff_sheet_that_is_shaken_is_solved_to_what_acts_on_it():
     """A sheet of aluminium gains no energy by TR-BDF2. Measured by what acts at their guess, its stages gave it 36 times as much,
     and none counted as missed."""

@@ -125,8 +125,8 @@ def slider(velocity):
     ("method", "h", "friction"),
     [
         ("implicit_euler", 1 / 90, 0.0),
-        ("implicit_euler", 1 / 70, 0.35),
-        ("tr_bdf2", 1 / 75, 0.0),
+        pytest.param("implicit_euler", 1 / 70, 0.35, marks=pytest.mark.long),
+        pytest.param("tr_bdf2", 1 / 75, 0.0, marks=pytest.mark.long),
         ("tr_bdf2", 1 / 100, 0.35),
     ],
 )
@@ -301,6 +301,7 @@ def test_friction_gives_stiff_bodies_no_energy(method):
 
 
 @pytest.mark.slow
+@pytest.mark.long_where(method="implicit_euler")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 def test_what_turns_pulls_at_a_stiff_spring_with_friction_and_no_more(method):
     """A ball on top of a sphere, and one at the lowest point of a drum; their matter moves up and down, their surfaces do not."""
@@ -359,6 +360,7 @@ def test_friction_holds_a_stiff_pair_in_a_hollow_without_its_spring(method):
                 assert abs(np.mean(pulls) - right) < allowed * pressed, (ratio, turn)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["tr_bdf2"])
 def test_a_pair_at_rest_in_a_hollow_stays_at_its_surface(method):
     """It drifted off by rounding of second order, until contacts saw it no more and it fell for half a step."""
@@ -381,6 +383,7 @@ def test_a_pair_at_rest_in_a_hollow_stays_at_its_surface(method):
 
 
 @pytest.mark.slow
+@pytest.mark.long_where(method="implicit_euler")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 def test_each_side_of_a_groove_drags_as_it_moves(method):
     """A ball between a floor and a side that moves along; gravity presses it on both, and a stiff spring holds it back. A still

@@ -15,6 +15,7 @@ LAW = {"mass_per_area": 0.25, "warp": 260.0, "weft": 230.0, "shear": 70.0, "coup
 SPEED = 1.7  # m/s
 
 
+@pytest.mark.slow
 @pytest.mark.long_in("f64")  # which has no tolerance of its own
 def test_a_sheet_bounces_across_itself_and_not_along():
     """An upright sheet gained half of its energy in one step, by balls thrown back against those behind them."""
@@ -87,6 +88,7 @@ def thrown(kind, scene=None, x=0.0):
     return scene, balls
 
 
+@pytest.mark.slow
 @pytest.mark.long_in("f64")
 @pytest.mark.filterwarnings("ignore::UserWarning")  # springs gain energy in such steps, and a run says so
 def test_by_xpbd_springs_keep_their_restitution_and_elements_do_not():
@@ -132,6 +134,7 @@ def test_a_gain_without_restitution_is_told():
     assert any("largest kinetic energy in one step" in str(one.message) for one in said)
 
 
+@pytest.mark.long_in("f64")
 @pytest.mark.slow_where(method="tr_bdf2")
 @pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
 def test_a_light_ball_comes_back_from_a_stiff_block(method):
@@ -178,6 +181,7 @@ def test_blocks_in_a_hollow_and_on_a_box_gain_no_energy(method):
     assert np.diff([one.total for one in energy]).max() < 3e-3 * max(one.kinetic for one in energy)
 
 
+@pytest.mark.slow
 @pytest.mark.long_in("f64")
 def test_a_gain_of_bodies_that_meet_is_told():
     """It was looked for where something bounces alone. Contacts stop balls of a cube after the stage, which strains it."""

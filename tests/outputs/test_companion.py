@@ -169,6 +169,7 @@ def stated_by_implicit_euler(dt):
     return np.array([summary.step_error.probes[name] for name in names]), np.abs(found - truth), summary.lines()
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_a_method_of_first_order_states_what_it_is_off_or_that_this_is_not_known():
     """Two runs alone stated a third or a half of it at such steps, where the order of the method is not seen."""
@@ -328,6 +329,7 @@ def hit():
     return scene
 
 
+@pytest.mark.slow_where(made=[thrown_chain, hit])
 @pytest.mark.once
 @pytest.mark.parametrize("made", [caught, thrown_chain, hit])
 def test_a_peak_is_that_of_all_steps_whatever_the_frames(made):
@@ -356,6 +358,7 @@ def test_a_peak_is_that_of_all_steps_whatever_the_frames(made):
     assert found[0] == found[1]
 
 
+@pytest.mark.slow
 @pytest.mark.once
 @pytest.mark.parametrize(("method", "dt", "known"), [("xpbd", 4e-3, False), ("verlet", 1e-3, True)])
 def test_extremes_are_not_known_of_motion_that_all_runs_damp_away(method, dt, known):
@@ -384,6 +387,7 @@ def test_extremes_that_agree_by_luck_are_no_better_known():
     assert companion._off([first, other], companion._Order(2.0), 0.0)[2] == pytest.approx(4.0 * 4.0 / 3.0 + 5.0 / 4.0)
 
 
+@pytest.mark.slow_where(stops=0.3021)
 @pytest.mark.once
 @pytest.mark.parametrize("stops", [0.3021, 0.3])
 def test_a_keyframe_inside_a_step_is_named(stops):

@@ -153,14 +153,16 @@ OPTIONAL = {"x.gsd": "gsd", "x.usda": "pxr", "x.usdc": "pxr"}
 FORMATS = ["x.mp4", "x.webm", "x.gif", "x.webp", "frames/", "x.npz", "x.glb", "x.ply", "x.obj", "x.pvd", "x.csv", "own"]
 FORMATS += [name for name, module in OPTIONAL.items() if find_spec(module)]
 TOGETHER = ("x.npz", "x.mp4", "own", "x.ply")
+MIXED = ("x.csv", "x.mp4", "x.pvd", "x.npz")
 GROWING = ["x.mp4", "x.csv", "x.pvd", *(name for name in FORMATS if name == "x.gsd")]
 DRAWN = ("x.mp4", "x.gif", "frames/", "own")
 
 
+@pytest.mark.slow_where(names=["x.webm", "x.gif", "x.webp", "x.glb", "x.ply", "x.obj", "x.pvd", "x.usda", MIXED])
 @pytest.mark.parametrize(
     ("names", "kind", "codec"),
     [*((name, Steady, None) for name in FORMATS), (TOGETHER, Steady, None), ("x.mp4", Steady, "h265"),
-     *((name, Whole, None) for name in DRAWN), (("x.csv", "x.mp4", "x.pvd", "x.npz"), Whole, None)],
+     *((name, Whole, None) for name in DRAWN), (MIXED, Whole, None)],
     ids=str,
 )  # fmt: skip
 @pytest.mark.filterwarnings("ignore:.*is complete, and is left:UserWarning")

@@ -172,6 +172,7 @@ def test_what_comes_out_is_what_an_undisturbed_run_writes(tmp_path, monkeypatch)
     assert Fitted.last.drawn == list(range(17, COUNT))
 
 
+@pytest.mark.slow
 def test_what_a_resumed_run_says_is_of_the_whole_run(tmp_path, monkeypatch):
     said = {}
 

@@ -498,6 +498,7 @@ def test_nothing_to_refine(tmp_path):
         resolution.finer(tmp_path / "s.py")
 
 
+@pytest.mark.slow
 def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
     """Runs that are off by 0.04 h^2, with h = 1, 1/2, 1/4: compared at the coarse mesh's balls, that is what is found."""
     scene, said = pair(), []

@@ -62,6 +62,7 @@ def test_the_cheapest_that_meets_the_tolerance(monkeypatch):
     assert allowed.startswith("allowed")  # two balls on a spring are no mesh
 
 
+@pytest.mark.slow_where(damping=0.0)
 @pytest.mark.parametrize("damping", [0.0, 0.5])
 def test_a_report_names_the_settings_that_tune_names(tmp_path, monkeypatch, damping):
     """From the same runs: the longest step that each method may take in the long run is among them, and none above it counts."""

@@ -7,6 +7,7 @@ import taichi_sim as ts
 from taichi_sim.reports import check
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_it_says_what_it_took_and_a_state_keeps_it(tmp_path) -> None:
     scene = ts.Scene(dim=2, gravity=(0.0, -10.0))

@@ -45,6 +45,8 @@ def rise(sim, steps):
     return np.diff(total).max() / max(one.kinetic for one in stored), total[-1]
 
 
+@pytest.mark.slow
+@pytest.mark.long_in("f64")
 @pytest.mark.filterwarnings(
     "ignore::UserWarning"
 )  # impacts may give energy in steps so long, and one substep is asked for

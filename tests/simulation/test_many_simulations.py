@@ -61,6 +61,7 @@ def test_memory_of_a_simulation_that_was_dropped_serves_the_next_one():
     assert runtime.prog.get_snode_tree_size() == before
 
 
+@pytest.mark.slow
 def test_what_was_placed_once_is_not_placed_again(monkeypatch):
     """It would stay in the engine's memory until the process ends."""
     ends(0)

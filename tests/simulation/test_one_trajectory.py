@@ -173,6 +173,7 @@ def test_a_run_is_saved_between_a_new_step_and_the_first_of_it(tmp_path):
             assert other.time == pytest.approx(7e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.once
 def test_what_is_run_again_from_a_saved_state_is_counted_once():
     scene = ts.Scene(dim=2, gravity=(0, -10))

@@ -178,6 +178,8 @@ def test_nothing_is_compiled_and_nothing_left():
         assert objects() - kept < 15
 
 
+@pytest.mark.slow
+@pytest.mark.once
 def test_a_scene_that_is_wrong_changes_nothing():
     """One fails before anything is declared, one midway, where a number does not fit into the fields."""
     with ts.Simulation(pile(), **CPU) as used:

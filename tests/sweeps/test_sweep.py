@@ -81,6 +81,7 @@ def test_a_sweep_is_what_single_runs_are(tmp_path):
     assert "restitution" in page
 
 
+@pytest.mark.slow
 def test_what_a_killed_worker_was_writing_does_not_outlast_the_sweep(tmp_path, monkeypatch):
     batches, run, busy = tmp_path / "s" / "batches", Runner.run, []
     left, held = (f".0123456789ab_{'7' * 16}_4.jsonl.{16 * one}.part" for one in "ab")

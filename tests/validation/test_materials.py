@@ -41,6 +41,7 @@ def bar_and_strip():
     return scene
 
 
+@pytest.mark.slow
 def test_bar_and_strip_come_to_rest_where_newton_finds_them(precision):
     scene = bar_and_strip()
     want, _ = at_rest(scene, most=1e-8)

@@ -198,6 +198,8 @@ def test_side_by_side_nothing_is_lost(mixed):
     assert two.walls[1].mask != two.walls[0].mask
 
 
+@pytest.mark.slow
+@pytest.mark.long_in("f32")
 def test_a_failing_scene_is_shrunk(mixed, monkeypatch, tmp_path):
     heavy = Relation("no_heavy_ball", 10.0, lambda case, _: float(case.scene.mass.max(initial=0.0)), lambda _: [])
     monkeypatch.setitem(RELATIONS, heavy.name, heavy)

@@ -645,6 +645,7 @@ def look_on(view: ts.LiveView, sim: ts.Simulation) -> np.ndarray:
     return np.array(kept.kept)
 
 
+@pytest.mark.slow
 def test_a_run_is_the_same_whoever_looks_on():
     with ts.Simulation(pile(), arch="cpu", dt=2e-3) as sim:
         start, alone, unseen = sim.snapshot(), Kept(), Kept()
