@@ -90,7 +90,9 @@ def takers(scene: Scene, touches: bool, tore: bool = False) -> tuple[str, ...]:
     """Names of what takes energy in a scene. touches: there may be contacts; tore: springs have torn. Of
     two materials the larger restitution and the geometric mean of frictions count, so those of the balls decide."""
     made_of = [scene.materials[k] for k in np.unique(scene.material)] if touches else []
-    losses = (scene.damping, scene.bend_damping, scene.brick_viscosity, scene.solid_viscosity)
+    losses = [
+        table[name] for table in scene.tables.values() for name in ("damping", "viscosity") if name in table.names
+    ]
     found = {
         "restitution": any(m.restitution < 1.0 for m in made_of),
         "friction": any(m.friction > 0.0 or m.viscous_friction > 0.0 for m in made_of),

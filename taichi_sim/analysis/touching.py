@@ -11,6 +11,7 @@ from taichi_sim.scene.scene import Scene
 __all__ = ["further_overlap", "may_collide", "may_touch", "overlap", "overlap_at_start", "overlap_of_bodies"]
 
 ALIKE = 0.02  # of an overlap: kernels find it in single precision
+MEASURED = 20_000  # balls at once, so that what is near them takes little memory
 
 
 def overlap(scene: Scene, position: NDArray, time: float, ball: int, part: float) -> str:
@@ -110,16 +111,20 @@ def _overlapping(scene: Scene, balls: NDArray[np.int64]) -> Iterator[tuple[int, 
 
     x, r = scene.position, scene.radius
     joined = scene.excluded_pairs().astype(np.int64) @ [scene.n_balls, 1]
-    # of each pair the larger finds the other
-    near = cKDTree(x[balls]).query_ball_point(x[balls], 2.0 * r[balls], return_sorted=False)
-    for i, found in zip(balls, near):
-        j = balls[found]
-        j = j[(r[j] < r[i]) | ((r[j] == r[i]) & (j > i))]
-        j = j[~(scene.pinned[i] & scene.pinned[j]) & ((scene.body[i] == 0) | (scene.body[i] != scene.body[j]))]
-        j = j[((scene.group[i] & scene.mask[j]) != 0) & ((scene.group[j] & scene.mask[i]) != 0)]
-        j = j[~np.isin(np.minimum(i, j) * scene.n_balls + np.maximum(i, j), joined)]
+    tree = cKDTree(x[balls])
+    for first in range(0, len(balls), MEASURED):
+        part = balls[first : first + MEASURED]
+        # of each pair the larger finds the other
+        near = tree.query_ball_point(x[part], 2.0 * r[part], return_sorted=False)
+        i = np.repeat(part, [len(found) for found in near])
+        j = balls[np.concatenate(near).astype(np.int64)]
+        meets = (r[j] < r[i]) | ((r[j] == r[i]) & (j > i))
+        meets &= ~(scene.pinned[i] & scene.pinned[j]) & ((scene.body[i] == 0) | (scene.body[i] != scene.body[j]))
+        meets &= ((scene.group[i] & scene.mask[j]) != 0) & ((scene.group[j] & scene.mask[i]) != 0)
+        i, j = i[meets], j[meets]
         deep = (r[i] + r[j] - np.linalg.norm(x[j] - x[i], axis=1)) / r[j]
-        yield from ((int(i), int(ball), float(part)) for ball, part in zip(j, deep) if part > 0.0)
+        apart = (deep > 0.0) & ~np.isin(np.minimum(i, j) * scene.n_balls + np.maximum(i, j), joined)
+        yield from zip(i[apart].tolist(), j[apart].tolist(), deep[apart].tolist())
 
 
 def may_collide(scene: Scene) -> bool:

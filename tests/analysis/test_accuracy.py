@@ -10,7 +10,7 @@ from physics_support import PRECISION, box_mesh, simulate
 import taichi_sim as ts
 from taichi_sim.analysis import accuracy, contact_loads, rebounds, sieves
 from taichi_sim.analysis.methods import IMPLICIT_EULER, VERLET, XPBD
-from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy, untouched
+from taichi_sim.analysis.outcome import Scales, of_approach, of_cells, of_depth, of_energy, takers, untouched
 from taichi_sim.geometry.spheres import icosphere
 from taichi_sim.outputs import export
 from taichi_sim.reports import check
@@ -477,6 +477,25 @@ def test_a_piston_that_squeezes_is_warned_of_and_judged():
 )
 def test_few_cells_that_turn_back_are_no_alarm(now, most, cells, verdict):
     assert of_cells(now, most, cells).split(";")[0] == verdict
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("takes", [0.0, 0.1])
+@pytest.mark.parametrize("kind", ["springs", "bending", "membranes", "bricks", "solids"])
+def test_damping_of_every_element_takes_energy(kind, takes):
+    scene = ts.Scene(dim=3)
+    scene.add_balls([[x, y, z] for x in (0.0, 0.1) for y in (0.0, 0.1) for z in (0.0, 0.1)], radius=0.01)
+    solid = {"young_modulus": 1e3, "poisson_ratio": 0.3, "viscosity": takes}
+    {
+        "springs": lambda: scene.add_springs([[0, 1]], stiffness=1.0, damping=takes),
+        "bending": lambda: scene.add_bending(
+            [[0, 1, 2, 3]], weights=[[1.0, -1.0, -1.0, 1.0]], stiffness=1.0, damping=takes
+        ),
+        "membranes": lambda: scene.add_membranes([[0, 1, 2]], warp=1.0, weft=1.0, shear=1.0, damping=takes),
+        "bricks": lambda: scene.add_bricks([list(range(8))], **solid),
+        "solids": lambda: scene.add_solids([[0, 1, 2, 4]], **solid),
+    }[kind]()
+    assert takers(scene, touches=False) == (("damping",) if takes else ())
 
 
 def test_verdicts_go_with_the_scene():

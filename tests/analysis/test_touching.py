@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import taichi_sim as ts
+from taichi_sim.analysis import touching
 from taichi_sim.analysis.touching import further_overlap, overlap, overlap_of_bodies
 
 pytestmark = pytest.mark.once
@@ -63,3 +64,33 @@ def test_balls_of_one_element_that_never_collide_overlap_nothing(kind):
         return one
 
     assert bool(further_overlap(scene(0.1), scene(0.26))) == (not kind)
+
+
+@pytest.mark.parametrize("at_once", [7, 1000])
+def test_overlaps_are_those_of_all_pairs(monkeypatch, at_once):
+    """Of a crowd of all sizes, some of it pinned, joined, of one body, or of a group that does not meet another."""
+    monkeypatch.setattr(touching, "MEASURED", at_once)
+    rng = np.random.default_rng(4)
+    scene = ts.Scene(dim=2)
+    x, r = rng.uniform(0.0, 1.0, (60, 2)), rng.uniform(0.02, 0.2, 60)
+    for k in range(3):
+        scene.add_balls(
+            x[20 * k : 20 * k + 20],
+            radius=r[20 * k : 20 * k + 20],
+            pinned=k == 2,
+            group=f"group {k % 2}",
+        )
+    scene.add_springs(rng.permuted(np.tile(np.arange(60), (9, 1)), axis=1)[:, :2], stiffness=1.0)
+    scene.set_balls(slice(3, 30), body=scene.new_body())
+    joined = set(map(tuple, np.sort(scene.excluded_pairs(), axis=1).tolist()))
+    found = {}
+    for i in range(60):
+        for j in range(i + 1, 60):
+            apart = scene.body[i] == 0 or scene.body[i] != scene.body[j]
+            meets = (scene.group[i] & scene.mask[j]) and (scene.group[j] & scene.mask[i])
+            deep = (r[i] + r[j] - np.hypot(*(x[i] - x[j]))) / min(r[i], r[j])
+            if deep > 0.0 and apart and meets and not (i >= 40 and j >= 40) and (i, j) not in joined:
+                found[i, j] = deep
+    said = {(min(i, j), max(i, j)): deep for i, j, deep in touching._overlapping(scene, np.arange(60))}
+    assert said == pytest.approx(found)
+    assert len(found) > 100
