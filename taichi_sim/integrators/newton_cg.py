@@ -228,10 +228,12 @@ class StageSolver(Sizes, Potentials, Search, Releases):
         if ti.static(self.turns_freely):
             self.turns.correct(self.ahead, self.base, self.q)
         for i in range(self.n):
-            change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
-            self.last[stage * self.n + i] = self.velocity(i) - self.first[i] - change
-            if self.model.inverse_mass[i] > 0.0 and self.is_lost(self.bodies.of(i)):
-                self.base[i].v = self.base[i].v + LOST  # what was found knows nothing of such forces
+            self.last[stage * self.n + i] = ti.Vector.zero(float, self.dim)
+            if self.model.inverse_mass[i] > 0.0:
+                change = self.free.change[self.bodies.of(i)]  # of its body, which the next stage finds anew
+                self.last[stage * self.n + i] = self.velocity(i) - self.first[i] - change
+                if self.is_lost(self.bodies.of(i)):
+                    self.base[i].v = self.base[i].v + LOST  # what was found knows nothing of such forces
         self.judge_all()
 
     @ti.func

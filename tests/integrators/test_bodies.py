@@ -213,3 +213,19 @@ def test_compiling_says_nothing(capfd):
         with simulate(scene, integrator="implicit_euler", dt=0.01) as sim:
             sim.step(2)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("method", ["implicit_euler", "tr_bdf2"])
+def test_pinned_balls_that_hold_nothing_stand_still(method):
+    """Listed before a body that falls, they were given what it did not fall by, and threw it up with their speed."""
+    scene = ts.Scene(dim=2, gravity=(0.5, -4.0))
+    pins = scene.add_balls([[0.0, 0.0], [0.3, 0.0], [0.6, 0.1]], radius=0.05, pinned=True)
+    balls = scene.add_balls([[0.0, 3.0], [0.4, 3.0], [0.1, 3.3]], mass=[1.0, 3.0, 2.0], radius=0.05)
+    scene.add_springs([balls[[0, 1]], balls[[1, 2]]], stiffness=300.0)
+    with simulate(scene, integrator=method, dt=4e-3) as sim:
+        start = sim.position[pins]
+        sim.step(50)
+        assert np.all(sim.velocity[pins] == 0.0)
+        assert np.all(sim.position[pins] == start)
+        np.testing.assert_allclose(sim.velocity[balls], np.tile([0.1, -0.8], (3, 1)), atol=1e-5)
