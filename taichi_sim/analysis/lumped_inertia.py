@@ -19,6 +19,7 @@ __all__ = ["excess", "sluggish"]
 Floats = NDArray[np.float64]
 
 MUCH = 0.1  # of a moment of inertia, from which it is reported
+FLAT = 1e-12  # of a box around all of a body: less may be rounding
 
 
 def sluggish(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -38,13 +39,15 @@ def sluggish(scene: Scene) -> Iterator[tuple[str, str]]:
 
 def excess(corners: Floats) -> float:
     """Part by which masses at the corners (e, k, dim) [m] of boxes or simplices of one density raise the moment of inertia, about
-    the axis where that is most."""
+    the axis where that is most; 0 where they are flat."""
     k, dim = corners.shape[1:]
     centre = corners.mean(axis=1)
     own = corners - centre[:, None]
     edges = own[:, 1:] - own[:, :1] if k == dim + 1 else own[:, [1 << axis for axis in range(dim)]] - own[:, :1]
     volume = np.abs(np.linalg.det(edges))
     part = 1.0 / (dim + 2) if k == dim + 1 else 1.0 / 3.0  # of the moments of the corners that an element has
+    if volume.sum() <= FLAT * float(np.ptp(corners, axis=(0, 1)).max()) ** dim:
+        return 0.0
     volume /= volume.sum()
     apart = centre - volume @ centre
     between = np.einsum("e,ea,eb->ab", volume, apart, apart)

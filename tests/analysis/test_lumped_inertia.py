@@ -51,3 +51,11 @@ def test_a_fine_body_and_two_coarse_ones():
     assert len(said) == 2  # 1 + 2 / m^2: 3, 1.5 and 1.03
     assert "200 % larger" in said[0]
     assert "50 % larger" in said[1]
+
+
+@pytest.mark.parametrize("flat", [1, 2, 3])
+def test_what_is_flat_or_a_line_or_a_point_has_none(flat):
+    """In any direction, where rounding leaves it a volume."""
+    corners = np.random.default_rng(flat).normal(size=(6, 4, 3)) * (np.arange(3) >= flat)
+    turn = np.linalg.qr(np.random.default_rng(9).normal(size=(3, 3)))[0]
+    assert excess(corners @ turn + (3.0, -1.0, 0.2)) == 0.0
