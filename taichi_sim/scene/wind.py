@@ -50,8 +50,9 @@ class WindMethods:
 
         Args:
             velocity: of the air [m/s]; zeros for still air that only drags.
-            density: of the air [kg/m^3]; drag: coefficient for flow across a triangle [1]; skin_friction: coefficient for flow
-                along it [1].
+            density: of the air [kg/m^3]; drag: coefficient for flow across a triangle [1], as of a lone plate. No triangle lies
+                in the lee of another: front and rear of a closed body both count, so that a cube has 2.6, and a real one 1.05.
+            skin_friction: coefficient for flow along a triangle [1].
             gust: 0 to 1 [1], part of the speed by which it varies in waves that travel with the wind.
             gust_length: of the longest of them [m].
         """
