@@ -20,13 +20,16 @@ def half_thickness(triangles: ti.template(), b, k, kind):
 
 
 @ti.func
-def own_thickness(triangles: ti.template(), b, g, kind, thick, of_edges: ti.template()):
-    """The distance at touch [m], at most `thick`, that does not push open what one body is at rest: what is held together by
-    springs or elements may be as near as in its first shape, and nearer where one of them joins the two sides. Balls count by
-    their weights g, so that it does not jump where what is nearest changes from a triangle with a joined ball to one without."""
-    touch = thick
+def distance_at_touch(triangles: ti.template(), b, g, kind, of_edges: ti.template()):
+    """How far apart [m] the two sides of a pair are where they touch, at most: as thick as its balls, by their weights g. What
+    is held together by springs or elements may be as near as in its first shape, lest a body pushes itself open, and nearer where
+    one of them joins two balls. These count by their weights as well, so that the distance does not jump where what is nearest
+    changes from a triangle with a joined ball to one without."""
+    touch = 0.0 * g[0]
+    for k in ti.static(range(4)):
+        touch += ti.abs(g[k]) * half_thickness(triangles, b, k, kind)
     if triangles.held_together[b[0]] == triangles.held_together[b[3]]:
-        part = 0.0 * thick  # that is joined
+        part = 0.0 * touch  # that is joined
         for k in ti.static(range(2)):
             for m in ti.static(range(1, 4)):
                 if is_upper(k, kind) and not is_upper(m, kind):

@@ -13,7 +13,7 @@ from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.contact_incidence import count_entries
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE, EDGE_EDGE, STICK_FIRST, STICK_SECOND
 from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT, may_touch
-from taichi_sim.kernels.contacts.touch_distance import half_thickness, is_upper, own_thickness
+from taichi_sim.kernels.contacts.touch_distance import distance_at_touch, is_upper
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
@@ -272,7 +272,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
               of_edges: ti.template()):  # fmt: skip
     """List the pair, with the normal n and distance d, where it may meet within the step."""
     u, give, above, below = 0.0 * d, 0.0 * d, BEYOND_ALL + 0.0 * d, -BEYOND_ALL + 0.0 * d
-    thick, upper, lower = 0.0 * d, 0.0 * d, 0.0 * d
+    upper, lower = 0.0 * d, 0.0 * d
     for k in ti.static(range(4)):
         radius = triangles.model.radius[b[k]]
         speed = n.dot(ball[b[k]].v)
@@ -283,7 +283,6 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         lower = ti.max(lower, ti.select(on_top, 0.0, radius))
         above = ti.min(above, ti.select(on_top, speed, above))
         below = ti.max(below, ti.select(on_top, below, speed))
-        thick += ti.abs(g[k]) * half_thickness(triangles, b, k, kind)
     way = LOOK_AHEAD * ti.max(0.0, -u) / solver.rate[0]
     if d < upper + lower + LOOK_AHEAD * ti.max(0.0, below - above) / solver.rate[0]:
         at = COUNT_LIMIT
@@ -292,7 +291,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         if at >= triangles.capacity:
             ti.atomic_max(triangles.overflow[0], at + 1)
         else:
-            thick = own_thickness(triangles, b, g, kind, thick, of_edges)
+            thick = distance_at_touch(triangles, b, g, kind, of_edges)
             # between pinned points nothing can be pushed, or only by a long lever
             contact = whole and give > 0.0 and d < ti.max(LISTED_DISTANCE * thick, thick + way)
             triangles.contact[at].owner = p
