@@ -1,4 +1,4 @@
-"""How far apart the two sides of a pair of surfaces are where they touch; for the weights of a pair see triangle_pairs."""
+"""The distance at which the two sides of a pair of surfaces touch; for the weights of a pair see triangle_pairs."""
 
 from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangle
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE, EDGE_EDGE, STICK_FIRST, STICK_SECOND
@@ -21,7 +21,7 @@ def half_thickness(triangles: ti.template(), b, k, kind):
 
 @ti.func
 def distance_at_touch(triangles: ti.template(), b, g, kind, of_edges: ti.template()):
-    """How far apart [m] the two sides of a pair are where they touch, at most: as thick as its balls, by their weights g. What
+    """Distance [m] at which the two sides of a pair touch: as thick as its balls are at most, by their weights g. What
     is held together by springs or elements may be as near as in its first shape, lest a body pushes itself open, and nearer where
     one of them joins two balls. These count by their weights as well, so that the distance does not jump where what is nearest
     changes from a triangle with a joined ball to one without."""
