@@ -13,7 +13,7 @@ pytestmark = pytest.mark.once
 
 ROOT = Path(__file__).parents[1]
 # functions beyond the linter's limits: complexity 10, 12 branches, 5 arguments, 50 statements. Fewer: write the number here
-BEYOND = Counter({"C901": 57, "PLR0912": 28, "PLR0913": 245, "PLR0915": 16})
+BEYOND = Counter({"C901": 57, "PLR0912": 27, "PLR0913": 245, "PLR0915": 16})
 
 
 def test_no_more_functions_are_beyond_the_limits():

@@ -1,13 +1,13 @@
 """Contacts of surfaces in a step: the list of all pairs that are near, and how far balls may move before any of them meet."""
 
 from taichi_sim.kernels.contacts.contact_incidence import begin_entries, each_contact, list_entries
+from taichi_sim.kernels.contacts.touch_distance import is_upper
 from taichi_sim.kernels.contacts.triangle_bvh import DRIFT_ALLOWED, any_left_path, fit, traverse
 from taichi_sim.kernels.contacts.triangle_pairs import (
     FIND_CANDIDATES,
     LIMIT_WAYS,
     LOOK_AHEAD,
     hold_apart,
-    is_upper,
     list_candidate,
     planes,
 )

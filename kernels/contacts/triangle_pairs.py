@@ -12,7 +12,8 @@ from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangl
 from taichi_sim.kernels.contacts.collision_groups import balls_meet
 from taichi_sim.kernels.contacts.contact_incidence import count_entries
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE, EDGE_EDGE, STICK_FIRST, STICK_SECOND
-from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT
+from taichi_sim.kernels.contacts.pairs import COUNT_LIMIT, may_touch
+from taichi_sim.kernels.contacts.touch_distance import distance_at_touch, is_upper
 from taichi_sim.kernels.vectors import unit
 
 from taichi_sim.device.engine import ti
@@ -70,14 +71,14 @@ def ball_near_triangle(
         g = ti.Vector([1.0 + 0.0 * w[0], -w[0], -w[1], -w[2]])
         whole = True
         if ti.static(job == LIST_PAIRS):
-            whole = w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0
+            whole = (w[0] > 0.0 and w[1] > 0.0 and w[2] > 0.0) or is_hit_at_corner(triangles, i, t, balls, w)
             beyond = ti.Vector([triangle.beyond_a, triangle.beyond_b, triangle.beyond_c])
             if ti.static(triangles.tears):
                 across_from = ti.Vector([triangle.across_a, triangle.across_b, triangle.across_c])
                 for k in ti.static(range(3)):
                     if beyond[k] != BORDER and not is_whole(triangles, across_from[k]):
                         beyond[k] = BORDER
-            for k in ti.static(range(3)):  # on the edge across from corner k; a hit at a corner is one of two balls
+            for k in ti.static(range(3)):  # on the edge across from corner k
                 if w[k] == 0.0 and w[(k + 1) % 3] > 0.0 and w[(k + 2) % 3] > 0.0 and beyond[k] > NOT_OWNED:
                     whole = True
                     if beyond[k] >= 0:  # nearer to the inside of the triangle on the other side: that one's
@@ -92,6 +93,32 @@ def ball_near_triangle(
             r = across(r, xb - xa, xc - xa, x - xa)
         take_pair(triangles, solver, ball, p, balls, g, r, BALL_TRIANGLE, whole, place, False, job)
     return found
+
+
+@ti.func
+def is_hit_at_corner(triangles: ti.template(), i, t, balls, w):
+    """True if ball i is nearest to a corner of triangle t, weights w, and their hit is none that pairs of balls have; once, in
+    the triangle that stands for the ball there, and of two balls of surfaces for the first one."""
+    yes = False
+    for k in ti.static(range(3)):
+        if w[k] > 0.0 and w[(k + 1) % 3] == 0.0 and w[(k + 2) % 3] == 0.0:
+            j = balls[1 + k]
+            if (i < j or not has_triangle(triangles, i)) and (
+                triangles.own_triangle[j] == t or not has_triangle(triangles, j)
+            ):
+                yes = True
+                if ti.static(triangles.pairs.plan.neighbours):
+                    yes = not may_touch(triangles.pairs, i, j)
+    return yes
+
+
+@ti.func
+def has_triangle(triangles: ti.template(), i):
+    """True if the triangle that stands for ball i is there, and has not torn."""
+    yes = triangles.own_triangle[i] >= 0
+    if ti.static(triangles.tears):
+        yes = yes and is_whole(triangles, ti.max(0, triangles.own_triangle[i]))
+    return yes
 
 
 @ti.func
@@ -245,7 +272,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
               of_edges: ti.template()):  # fmt: skip
     """List the pair, with the normal n and distance d, where it may meet within the step."""
     u, give, above, below = 0.0 * d, 0.0 * d, BEYOND_ALL + 0.0 * d, -BEYOND_ALL + 0.0 * d
-    thick, upper, lower = 0.0 * d, 0.0 * d, 0.0 * d
+    upper, lower = 0.0 * d, 0.0 * d
     for k in ti.static(range(4)):
         radius = triangles.model.radius[b[k]]
         speed = n.dot(ball[b[k]].v)
@@ -256,9 +283,6 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         lower = ti.max(lower, ti.select(on_top, 0.0, radius))
         above = ti.min(above, ti.select(on_top, speed, above))
         below = ti.max(below, ti.select(on_top, below, speed))
-        first, second = kind == EDGE_EDGE + STICK_FIRST, kind == EDGE_EDGE + STICK_SECOND
-        if not ((first and on_top) or (second and not on_top)):  # sticks have no thickness of their own
-            thick += ti.abs(g[k]) * radius
     way = LOOK_AHEAD * ti.max(0.0, -u) / solver.rate[0]
     if d < upper + lower + LOOK_AHEAD * ti.max(0.0, below - above) / solver.rate[0]:
         at = COUNT_LIMIT
@@ -267,7 +291,7 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
         if at >= triangles.capacity:
             ti.atomic_max(triangles.overflow[0], at + 1)
         else:
-            thick = ti.min(thick, most_thickness(triangles, b, kind, of_edges))
+            thick = distance_at_touch(triangles, b, g, kind, of_edges)
             # between pinned points nothing can be pushed, or only by a long lever
             contact = whole and give > 0.0 and d < ti.max(LISTED_DISTANCE * thick, thick + way)
             triangles.contact[at].owner = p
@@ -280,54 +304,6 @@ def list_pair(triangles: ti.template(), solver: ti.template(), ball: ti.template
                 triangles.member[4 * at + k] = b[k]
                 triangles.weight[4 * at + k] = g[k]
             count_entries(at, triangles)
-
-
-@ti.func
-def is_upper(k, kind):
-    """True if ball k of a pair is on its upper side."""
-    return k == 0 or (k == 1 and kind != BALL_TRIANGLE)
-
-
-@ti.func
-def most_thickness(triangles: ti.template(), b, kind, of_edges: ti.template()):
-    """The largest distance at touch [m] that does not push open what one body is at rest: what is held together by springs or
-    elements may be as near as in its first shape, and nearer where one of them joins the two sides."""
-    most = BEYOND_ALL + 0.0 * triangles.spacing[b[0]]
-    if triangles.held_together[b[0]] == triangles.held_together[b[3]]:
-        most = distance_at_rest(triangles, b, of_edges)
-        if joined(triangles, b, kind):
-            most *= triangles.joined_part
-            for k in ti.static(range(4)):
-                most = ti.min(most, triangles.spacing[b[k]])
-    return most
-
-
-@ti.func
-def distance_at_rest(triangles: ti.template(), b, of_edges: ti.template()):
-    """Distance [m] of the two sides of a pair in the first shape."""
-    x = ti.static(triangles.rest_position)
-    xa, xb, xc, xd = x[b[0]], x[b[1]], x[b[2]], x[b[3]]
-    r = xa
-    if ti.static(of_edges):
-        s, t = between_edges(xa, xb, xc, xd)
-        r += s * (xb - xa) - xc - t * (xd - xc)
-    else:
-        w = on_triangle(xa, xb, xc, xd)
-        r -= w[0] * xb + w[1] * xc + w[2] * xd
-    return r.norm()
-
-
-@ti.func
-def joined(triangles: ti.template(), b, kind):
-    """True if a spring or element joins the two sides of a pair: at rest they may be nearer than they are thick."""
-    yes = False
-    if ti.static(triangles.pairs.has_joined):
-        for k in range(ti.select(kind == BALL_TRIANGLE, 1, 2)):
-            i = ti.select(k == 0, b[0], b[1])
-            for e in range(triangles.pairs.joined_start[i], triangles.pairs.joined_start[i + 1]):
-                j = triangles.pairs.joined_other[e]
-                yes = yes or j == b[2] or j == b[3] or (kind == BALL_TRIANGLE and j == b[1])
-    return yes
 
 
 @ti.func

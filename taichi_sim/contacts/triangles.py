@@ -63,6 +63,8 @@ class TriangleContacts(WeightedContacts):
             # across_a: the triangle of beyond_a, or the one that owns the edge
             columns |= dict(zip(("across_a", "across_b", "across_c"), across.T))
         self.triangle = fields.table(dict.fromkeys(columns, ti.i32), len(triangles), columns)
+        # (n,) the one that stands for each ball where its corners are hit, -1 if it is in none
+        self.own_triangle = fields.integers(first_triangle(triangles, n))
         # bare: 1, a stick of no triangle
         columns = {"one": edges[:, 0], "two": edges[:, 1], "bare": bare}
         self.edge = fields.table(dict.fromkeys(columns, ti.i32), len(edges), columns)
@@ -248,6 +250,13 @@ def owned_by_balls(scene: Scene) -> tuple[NDArray, NDArray, NDArray, NDArray, ND
     edges = np.concatenate([edges, sticks])
     order = np.lexsort(edges.T[::-1])
     return t, beyond.reshape(3, -1).T, next_one.reshape(3, -1).T, edges[order], bare[order]
+
+
+def first_triangle(triangles: NDArray, n: int) -> NDArray[np.int64]:
+    """(n,) the first of the triangles (t, 3) that each ball is in; -1 if it is in none."""
+    first = np.full(n, len(triangles))
+    np.minimum.at(first, triangles, np.arange(len(triangles))[:, None])
+    return np.where(first < len(triangles), first, -1)
 
 
 def leaf_order(scene: Scene, edges: NDArray) -> tuple[NDArray[np.int64], int]:

@@ -60,9 +60,9 @@ MANY_BALLS = 1000  # fewer can afford two iterations
 # by split masses, where few balls bounce at all: each of s contacts of a ball, in one iteration, undoes the part 1 / s of what
 # is left of an impact, so that (1 + e) (1 - 1 / s)^n of its speed is missing after n: 0.01 (1 + e) where s is 4
 BOUNCING_ITERATIONS = 16
-SURFACE_ITERATIONS = (
-    10  # folds lie in layers, each ball in many contacts; finding these takes far longer than an iteration
-)
+# folds lie in layers, each ball in up to thirty contacts, of which an iteration undoes a thirtieth of what is left; finding
+# these takes far longer than an iteration
+SURFACE_ITERATIONS = 30
 STICK_ITERATIONS = 4  # of many balls
 UNEQUAL_MASSES = 10.0  # ratio of masses from which one Gauss-Seidel iteration is not enough
 
@@ -125,7 +125,7 @@ class Settings:
         """Iterations of each contact solve. "auto": where contacts see what those before them changed (in_turn) 2, and 1 for
         more than a thousand balls, but not where they differ tenfold in mass: a light ball under a heavy one trembles with 1.
         With sticks iterations stop impacts too, and so many balls get 4: 10^4 balls that fall into a net overlap by 0.21 of a
-        radius, by 0.59 with 2. 10 where surfaces collide; with these or with sticks up to 4 more for balls that bounce well.
+        radius, by 0.59 with 2. 30 where surfaces collide; with these or with sticks up to 4 more for balls that bounce well.
         With split masses 4 for small scenes to 8 for those whose piles can be high, and up to 12 more where balls bounce well:
         what has not converged then takes energy for good. Of up to a thousand balls that bounce at all it is at least 16."""
         if self.contact_iterations != "auto":

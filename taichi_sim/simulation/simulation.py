@@ -59,7 +59,7 @@ class Simulation(Visible):
         contacts: "auto", "gauss_seidel", "jacobi", "sum", "off", or a ContactRule ("auto": gauss_seidel on the CPU, jacobi on a
             GPU and with accumulate "gather" or "atomic").
         contact_iterations: of each contact solve, or "auto": gauss_seidel makes 2, and 1 for more than 1000 balls whose masses
-            differ up to tenfold; jacobi makes 4 to 8, more in larger scenes; both make at least 10 where surfaces collide. A
+            differ up to tenfold; jacobi makes 4 to 8, more in larger scenes; both make at least 30 where surfaces collide. A
             restitution above 0.5 adds up to 12 to jacobi, and up to 4 to gauss_seidel where sticks or surfaces collide ("auto").
         accumulate: "auto", "ordered", "gather", "atomic": in which order impulses are added, see docs/physics.md ("auto").
         driver: "auto", "fused", "parallel" ("auto": fused for small scenes and on one thread).

@@ -112,6 +112,53 @@ def test_pairs_and_one_iteration_as_by_brute_force(soup_run):
     assert iterations > 4
 
 
+def test_corners_of_one_body_meet_as_balls_do():
+    """Triangles of one body fly at each other tip to tip, off centre by a part of a radius, and come no nearer than their balls
+    are thick."""
+    scene, tips, thick = ts.Scene(dim=3), [], []
+    for k, (off, radius, other) in enumerate(((0.0, 0.02, 0.02), (0.4, 0.03, 0.01), (0.7, 0.02, 0.05))):
+        across = off * (radius + other)
+        place = np.array(
+            [[-0.1, 0, 0], [-0.6, 0.3, 0], [-0.6, -0.3, 0.1], [0.1, across, 0], [0.6, 0.2, 0], [0.6, -0.3, 0]]
+        )
+        place[:, 2] += 3.0 * k
+        velocity = np.repeat([[4.0, 0, 0], [-3.0, 0, 0]], 3, axis=0)
+        balls = scene.add_balls(place, radius=np.repeat([radius, other], 3), velocity=velocity, body=k + 1)
+        scene.add_triangles(balls[[[0, 1, 2], [3, 4, 5]]], collides=True)
+        tips.append(balls[[0, 3]])
+        thick.append(radius + other)
+    nearest = np.full(len(tips), np.inf)
+    with simulate(scene, dt=H) as sim:
+        for _ in range(60):
+            sim.step()
+            apart = [np.linalg.norm(np.subtract(*sim.position[two])) for two in tips]
+            nearest = np.minimum(nearest, apart)
+    assert np.all(nearest < 1.05 * np.array(thick))
+    assert np.all(nearest > 0.98 * np.array(thick))
+
+
+def test_how_near_one_body_comes_to_itself_does_not_jump():
+    """Two triangles share a side; a ball that a spring joins to the corner of one of them moves across that side, and the
+    distance at touch with it, from what a spring allows to what balls do."""
+    scene = ts.Scene(dim=3)
+    corners = scene.add_balls([[-0.5, 0, 0], [0.5, 0, 0], [0, 0, 1], [0, 0, -1]], radius=0.1, mass=1.0)
+    scene.add_triangles(corners[[[0, 1, 2], [1, 0, 3]]], collides=True)
+    ball = scene.add_balls([[0, 3.0, 0.9]], radius=0.6)[0]
+    scene.add_springs([[ball, corners[2]]], stiffness=0.0)
+    x, found = scene.position.copy(), []
+    with simulate(scene, dt=H) as sim:
+        for z in np.linspace(0.95, -0.4, 28):
+            x[ball] = [0.1, 0.3, z]
+            sim.resume(ts.Snapshot(x, np.zeros_like(x)))
+            sim.contacts()  # finds them
+            found.append([row[-1] for row in listed_pairs(sim) if row[0][0] == ball and row[-1] >= 0.0])
+    assert all(len(each) == 1 for each in found)
+    touch = np.ravel(found)
+    assert touch[0] < 0.5
+    assert np.allclose(touch[-1], 0.7)
+    assert np.abs(np.diff(touch)).max() < 0.02
+
+
 # Momentum and energy ----------------------------------------------------------------------------------------------------
 
 PLACES, EACH = 150, 8

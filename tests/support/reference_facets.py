@@ -1,6 +1,6 @@
 """Surfaces by brute force, in NumPy float64, sharing no code with the program: which pairs are near, and one pass over them."""
 
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -96,9 +96,12 @@ def pairs(x, v, radius, triangles, joined, h, start):
                 s = between_edges(*corners) if edge else on_triangle(corners[0], corners[1:])
                 rest = np.array([1 - s[0], s[0], s[1] - 1, -s[1]]) if edge else np.array([1.0, *-s])
                 apart = float(np.linalg.norm(rest @ corners))
-                if any(tuple(sorted((i, j))) in joined for i in upper for j in lower):
-                    apart = min(SPACING * apart, spacing[list(balls)].min())
-                thickness = min(thickness, apart)
+                part = 0.0
+                for (i, a), (j, b) in product(zip(upper, np.abs(g)), zip(lower, np.abs(g)[len(upper) :])):
+                    if tuple(sorted((i, j))) in joined:
+                        part += a * b
+                        thickness -= a * b * max(0.0, radius[i] + radius[j] - min(spacing[i], spacing[j]))
+                thickness = min(thickness, (1.0 - (1.0 - SPACING) * part) * apart)
             touch = max(LISTED * thickness, thickness + way)
             margin = min(reach - d, abs(d - touch), 1e-3 * np.abs(np.abs(g[g != 0]) - (INSIDE if edge else 0)).min())
             found.append(Pair(edge, tuple(map(int, balls)), g, r / d, d, thickness, bool(whole and d < touch), margin))
@@ -116,11 +119,14 @@ def pairs(x, v, radius, triangles, joined, h, start):
 
 
 def _is_own(i, t, w, x, triangles):
-    """Whether ball i hits triangle t inside; or a side of it and nothing nearer of the triangle beyond, which counts once."""
+    """Whether ball i hits triangle t inside; or a side of it and nothing nearer of the triangle beyond, which counts once; or a
+    corner, which counts once of all triangles there and, of two corners, for the lower ball."""
     if np.all(w > 0):
         return True
     if np.count_nonzero(w) < 2:
-        return False
+        corner = t[int(np.argmax(w))]
+        first = min((tuple(other) for other in triangles if corner in other), key=lambda other: (min(other),))
+        return t == first and (i < corner or i not in np.asarray(triangles))
     side = {t[k] for k in range(3) if w[k] > 0}
     sharing = [tuple(other) for other in triangles if side <= set(map(int, other))]
     at = w @ x[list(t)]
