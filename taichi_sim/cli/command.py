@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from taichi_sim.cli.options import paths_and_values, pixels, positive, share, step
+from taichi_sim.cli.users_kernels import place_of_error
 from taichi_sim.common.atomic_file import naming
 from taichi_sim.common.errors import BackendError, UnstableError
 from taichi_sim.common.printable import lead_nowhere, printable, told
@@ -179,6 +180,10 @@ def plain_errors() -> Iterator[None]:
         fail(str(error), BAD_INPUT)
     except MemoryError as error:
         fail(f"not enough memory for this scene: {error}", BAD_INPUT)
+    except Exception as error:
+        if (said := place_of_error(error)) is None:
+            raise
+        fail(said, BAD_INPUT)
     except KeyboardInterrupt:
         echo("taichi-sim: interrupted", err=True)
         leave(INTERRUPTED)

@@ -550,3 +550,37 @@ def test_an_interrupt_leaves_no_half_file(folder, number, status, words):
     assert "\n".join(said).strip() == words
     shutil.rmtree(folder / ".x.mp4.resume", ignore_errors=True)
     assert names(folder) == ["ball.toml", "stiff.toml"]
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("impulse[i] += speeed * ball[i].v", 'Name "speeed" is not defined'),
+        pytest.param("impulse[i] += ball[i].w", "'w'", marks=pytest.mark.slow),
+        pytest.param("impulse[i] += ti.Vector([1.0, 2.0, 3.0])", "3", marks=pytest.mark.slow),
+    ],
+)
+def test_a_mistake_in_a_kernel_of_the_user_is_one_line(tmp_path, body, said):
+    """With the place in the file, for which the compiler's own words have sixty lines."""
+    (tmp_path / "pull.py").write_text(
+        "import taichi as ti, taichi_sim as ts\n"
+        "@ti.data_oriented\n"
+        "class Pull:\n"
+        "    @ti.func\n"
+        "    def accumulate(self, model: ti.template(), ball: ti.template(), impulse: ti.template(), h, time):\n"
+        "        for i in range(model.n):\n"
+        f"            {body}\n"
+        "    def stiffness_rate(self, scene): return 0.0\n"
+        "    def damping_rate(self, scene): return 0.0\n"
+        "def simulation():\n"
+        "    scene = ts.Scene(dim=2)\n"
+        "    scene.add_balls([[0.0, 1.0]], radius=0.1)\n"
+        "    return ts.Simulation(scene, forces=[Pull()])\n"
+    )
+    done = command(tmp_path, "run", "pull.py", "--quiet", "-o", "x.csv")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "pull.py, line 7, in accumulate: " in line
+    assert said in line
+    assert body in line
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == ["pull.py"]
