@@ -1,5 +1,6 @@
 """Frame: one moment of a simulation as plain NumPy arrays, all that an output or a renderer ever sees."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -18,12 +19,13 @@ Ints = NDArray[np.int32]
 
 
 ENDLESS = 1e15  # frames: what is longer counts as that
+NEARLY = 1e-3  # of a frame, that may lack: 0.333333 s are 10 frames at 30 a second
 
 
 def frame_count(fps: float, duration: float) -> int:
-    """Number of frames of a run, `fps` [1/s] for `duration` [s]: round(fps x duration), and one more, since both the start and
-    the end are among them."""
-    return round(min(fps * duration, ENDLESS)) + 1
+    """Number of frames of a run, `fps` [1/s] for `duration` [s]: at its start, and at each k / fps up to the duration, not beyond
+    it."""
+    return math.floor(min(fps * duration, ENDLESS) + NEARLY) + 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,8 @@ def run(
 
     page = _page(options, "--watch", watch)
     job = Job(scene, options)
-    if round(job.output["fps"] * job.output["duration"]) < 1:
+    count = frame_count(job.output["fps"], job.output["duration"])
+    if count < 2:
         raise ValueError("fps times duration is less than one frame; raise one of them")
     if transparent:
         job.output["style"]["transparent"] = True
@@ -99,7 +100,7 @@ def run(
             one.discard()
         raise ValueError(f"--transparent: {names[0]} holds no pictures; write PNG frames, to a folder/")
     if resume and targets:
-        names, targets = _to_resume(names, targets, frame_count(job.output["fps"], job.output["duration"]))
+        names, targets = _to_resume(names, targets, count)
         if not targets:
             return
     if not targets and (overwrite or resume or codec or transparent or checkpoint):

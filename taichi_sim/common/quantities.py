@@ -2,7 +2,7 @@
 
 import math
 
-__all__ = ["EXACT", "ROUNDED", "at_most", "beside", "counted", "measured", "percent", "plain_number"]
+__all__ = ["EXACT", "ROUNDED", "at_most", "counted", "measured", "percent", "plain_number"]
 
 EXACT = 1e-12  # of a value: an uncertainty below that is rounding
 ROUNDED = "exact to rounding"
@@ -19,12 +19,6 @@ def measured(value: float, uncertainty: float | None = None, unit: str = "", sou
     scaled = None if uncertainty is None else uncertainty / 10.0**power
     words = _one(value / 10.0**power, scaled, f"{PREFIXES[power]}{unit}")
     return f"{words} ({source})" if source and not words.endswith(ROUNDED) else words
-
-
-def beside(value: float, other: float, unit: str) -> str:
-    """Another uncertainty of a value, with the value's prefix: one value has one unit."""
-    power = _power(abs(value), unit)
-    return _one(other / 10.0**power, None, f"{PREFIXES[power]}{unit}")
 
 
 def counted(number: int, one: str, many: str) -> str:

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any, Literal
 
-from taichi_sim.analysis.frame import Frame, frame_count
+from taichi_sim.analysis.frame import NEARLY, Frame, frame_count
 from taichi_sim.analysis.keyframes_in_steps import inside_steps
 from taichi_sim.analysis.outcome import left_out
 from taichi_sim.common import validation
@@ -49,8 +49,7 @@ def export(
     """Run a simulation and give its frames to an output, to each of several, or to none for the summary alone.
 
     Args:
-        simulation: a `Simulation`; round(fps x duration) + 1 frames are made of it, the first where it is, the last `duration`
-            [s] later, where it is left.
+        simulation: a `Simulation`; frames are made of it as by `Simulation.frames`, and it is left at the last one.
         size: of the pictures, (width, height) px. style: further arguments of `Renderer`, and `overlay`, keys of an `Overlay`.
         progress: a bar on standard error with the time left and the speed against real time.
         checkpoint: seconds of wall time between two checkpoints, from which a resumed run goes on, of a built-in output; more
@@ -151,9 +150,11 @@ def export(
                 expected.spent()
             run.between(index, needs=index + 1 < count)
         waiting.close()
-        summary.loaded, summary.duration = compiling.loaded(), duration
+        summary.loaded = compiling.loaded()
         if frame is None and last is not None:
             frame = simulation.frame()
+        summary.duration = 0.0 if frame is None else frame.time - first.time
+        summary.asked = duration if fps * duration > count - 1 + NEARLY else 0.0
         observer.conclude(frame)
         if companion is not None:
             summary.probes = companion.extremes()

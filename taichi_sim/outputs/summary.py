@@ -40,7 +40,8 @@ class Summary:
 
     frames: int = 0
     steady: int = 0  # of them, after what `starting` counts
-    duration: float = 0.0  # simulated
+    duration: float = 0.0  # simulated, up to the last frame
+    asked: float = 0.0  # the duration asked for, where that is no whole number of frames
     wall: float = 0.0  # all of it, from a simulation that is ready on
     reading: float = 0.0  # before that: reading the scene and making the simulation, where a command did so
     compiling: float = 0.0  # or loading what was compiled before
@@ -115,7 +116,8 @@ class Summary:
         """The summary in words, one line per subject."""
         if self.complete:
             return [f"complete     {name}, which is left as it is" for name in self.complete]
-        lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated"]
+        broken = f": {self.asked:.4g} s is no whole number of frames" if self.asked else ""
+        lines = [f"frames       {self.frames}, {self.duration:.4g} s simulated{broken}"]
         if self.settled:
             lines.append(f"start        {self.settled}")
         if self.energy_start:

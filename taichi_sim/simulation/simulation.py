@@ -189,8 +189,8 @@ class Simulation(Visible):
             self._stepper.checks.look_at_depth()
 
     def frames(self, fps: float = 60.0, duration: float = 5.0) -> Iterator[Frame]:
-        """round(fps x duration) + 1 frames, the first the present state, the last at the end, each at the step nearest to its
-        time.
+        """Yield the present state and a frame at each k / fps after it, up to the duration [s] and not beyond, each at the step
+        nearest to its time. The simulation is left at the last one.
 
         Steps made between two frames count towards the next one. Raises SceneError after a `reset` between two.
         """

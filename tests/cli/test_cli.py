@@ -345,6 +345,7 @@ REFUSED = [
         ("run", "ball.toml", "-o", "x.mp4", "--fps", "0.1", "--duration", "1"),
         "fps times duration is less than one frame",
     ),
+    (("run", "ball.toml", "--fps", "3", "--duration", "0.3"), "fps times duration is less than one frame"),
     (("run", "ball.toml", "--dt", "0"), "--dt: '0' is not allowed; it must be a number greater than 0 or auto"),
     (("run", "ball.toml", "--dt", "nan"), "--dt: 'nan' is not allowed"),
     (("run", "ball.toml", "--fps", "-1"), "--fps: -1 is not allowed; it must be a number greater than 0"),

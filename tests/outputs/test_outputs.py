@@ -18,7 +18,7 @@ from PIL import Image
 
 import taichi_sim as ts
 from taichi_sim import Frame, Scene, UnstableError
-from taichi_sim.analysis.frame import Contacts
+from taichi_sim.analysis.frame import Contacts, frame_count
 from taichi_sim.analysis.outcome import Scales
 from taichi_sim.device.backend import Backend
 from taichi_sim.device.engine import ENGINE, VERSION
@@ -54,7 +54,7 @@ class FakeSimulation:
         return nullcontext()
 
     def frames(self, fps: float, duration: float) -> Iterator[Frame]:
-        for k in range(round(fps * duration) + 1):
+        for k in range(frame_count(fps, duration)):
             if k == self.fails_at and self.failure is not None:
                 raise self.failure
             yield self.frame(k / fps, k)
@@ -324,6 +324,21 @@ def test_arrays(tmp_path):
         assert data["penetration"][1:4].tolist() == [[0.01, 0.004], [0.25, 0.004], [0.01, 0.004]]
         assert data["residual"] == pytest.approx(0.5 / np.arange(1, 11))
         assert data["largest_speed"].tolist() == [4.0] * 10
+
+
+@pytest.mark.parametrize(
+    ("fps", "duration", "said"),
+    [
+        (4, 0.7, "3, 0.5 s simulated: 0.7 s is no whole number of frames"),
+        (24, 0.4, "10, 0.375 s simulated: 0.4 s is no whole number of frames"),
+        (3, 5.0, "16, 5 s simulated"),
+        (30, 0.333333, "11, 0.3333 s simulated"),
+    ],
+)
+def test_the_summary_tells_the_time_that_was_simulated(fps, duration, said):
+    summary = export(FakeSimulation(), None, fps=fps, duration=duration)
+    assert summary.lines()[0] == f"frames       {said}"
+    assert summary.duration == pytest.approx((summary.frames - 1) / fps)
 
 
 def test_summary():

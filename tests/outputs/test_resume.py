@@ -13,6 +13,7 @@ import pytest
 from test_outputs import SIZE, FakeRenderer, FakeSimulation, draw_with, make, pictures, unstable
 
 from taichi_sim import Scene, UnstableError
+from taichi_sim.analysis.frame import frame_count
 from taichi_sim.analysis.probe_readings import Readings
 from taichi_sim.common.signals import insistent_signals
 from taichi_sim.outputs import Output, checkpoints, export, frame_log, open_output
@@ -45,7 +46,7 @@ class Steady(FakeSimulation):
         return super().frame(self.at / 240, self.at // 4)
 
     def frames(self, fps, duration):
-        for k in range(round(fps * duration) + 1):
+        for k in range(frame_count(fps, duration)):
             self.step(round(k / fps / self.dt) - self.at)
             yield self.frame()
 
@@ -212,6 +213,21 @@ def test_another_duration_gives_what_is_asked_for(tmp_path, name, frames):
     cut_off(folder, name, 13)
     assert run(folder, name, resume=True, duration=frames / 60).resumed == (13 if frames >= 13 else 0)
     assert files(folder) == files(whole)
+
+
+def test_a_duration_of_no_whole_number_of_frames_ends_before_it(tmp_path):
+    """As of an undisturbed run; and what ends at the same frame is complete."""
+    (whole := tmp_path / "whole").mkdir()
+    given = {"duration": 22.7 / 60}
+    summary = run(whole, "x.npz", **given)
+    assert summary.lines()[0] == "frames       22, 0.35 s simulated: 0.3617 s is no whole number of frames"
+    (folder := tmp_path / "cut").mkdir()
+    cut_off(folder, "x.npz", 13, **given)
+    again = run(folder, "x.npz", resume=True, **given)
+    assert (again.resumed, again.lines()[0]) == (13, summary.lines()[0])
+    assert files(folder) == files(whole)
+    with pytest.warns(UserWarning, match="is complete, and is left"):
+        assert run(folder, "x.npz", resume=True, duration=22 / 60).complete
 
 
 LOST = {

@@ -623,7 +623,11 @@ def test_what_is_below_rounding_is_said_in_words_and_a_mesh_where_there_is_one()
         in line
     )
     line = next(budget.Budget(**about | {"value": 34.0, "unit": "N"}, mesh=2.0, step=0.0295, single=3e-6).lines())
-    assert "34 +- 2 N (mesh), +- 0.0295 N (step), +- 3.00e-06 N (single precision)." in line  # one unit in one value
+    assert "34 +- 2 N (mesh), +- 29.5 mN (step), +- 3.00 µN (single precision)." in line
+    line = next(
+        budget.Budget(**about | {"value": 0.0231}, missed=4.2e-4, step=7.1e-9, single=8.3e-10, meshed=False).lines()
+    )
+    assert "23.100000 +- 0.000007 mm (step), +- 0.830 nm (single precision), +- 420 µm (between these times)." in line
     line, more, *_ = budget.Budget(**about, step=1e-4, single=2e-3, meshed=False, precision="f64").lines()
     assert "the scene's own settings in double precision:" in line
     assert line.endswith("800.00 +- 0.10 mm (step).")

@@ -8,7 +8,7 @@ import numpy as np
 
 from taichi_sim.analysis.outcome import has_mesh
 from taichi_sim.analysis.richardson import error_from
-from taichi_sim.common.quantities import EXACT, ROUNDED, beside, measured
+from taichi_sim.common.quantities import EXACT, ROUNDED, measured
 from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.plan import PARTS, Step, own_step
 from taichi_sim.reports.speed_error.reference import Reference
@@ -60,12 +60,12 @@ class Budget:
         words = [
             measured(self.value, told[0][0], self.unit, told[0][1]) if told else measured(self.value, unit=self.unit)
         ]
-        words += [f"+- {beside(self.value, value, self.unit)} ({name})" for value, name in told[1:]]
+        words += [f"+- {measured(value, unit=self.unit)} ({name})" for value, name in told[1:]]
         if exact := [name for _, name in known[len(told) :]]:
             words.append(f"{' and '.join(exact)} {ROUNDED}")
         words += [f"{name} not known" for name, value in parts.items() if value is None]
         if self.missed > EXACT * self.value:
-            words.append(f"+- {beside(self.value, self.missed, self.unit)} (between these times)")
+            words.append(f"+- {measured(self.missed, unit=self.unit)} (between these times)")
         own = "the scene's own settings" + " in double precision" * double
         if self.given > self.step_length * (1.0 + 1e-6):
             own += f" (its {self.given:.4g} s, shortened so that steps end at these times)"
