@@ -259,7 +259,7 @@ def test_all_frames_are_written_before_an_unstable_run_ends():
 
 def test_video_of_odd_size_and_fractional_rate(tmp_path):
     with pytest.warns(UserWarning, match=r"x\.mp4: a video has even sides, so that of 33 x 31 px is 34 x 32 px"):
-        make(tmp_path, "x.mp4", fps=29.97, duration=0.2, size=(33, 31))
+        make(tmp_path, "x.mp4", fps=29.97, duration=6 / 29.97, size=(33, 31))
     frames = pictures(tmp_path / "x.mp4")
     assert frames[0][1].shape == (32, 34, 3)
     assert frames[5][0] == pytest.approx(5 / 29.97, abs=1e-4)
