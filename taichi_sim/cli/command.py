@@ -174,14 +174,8 @@ def plain_errors() -> Iterator[None]:
         fail(str(error), UNSTABLE)
     except BrokenPipeError:  # of a table: click ends quietly
         raise
-    except (ValueError, BackendError, OSError, ArithmeticError) as error:  # SceneError is a ValueError
-        if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
-            fail(f"{error.filename}: {error.strerror}", BAD_INPUT)
-        fail(str(error), BAD_INPUT)
-    except MemoryError as error:
-        fail(f"not enough memory for this scene: {error}", BAD_INPUT)
     except Exception as error:
-        if (said := place_of_error(error)) is None:
+        if (said := _words_of(error)) is None:
             raise
         fail(said, BAD_INPUT)
     except KeyboardInterrupt:
@@ -194,6 +188,17 @@ def plain_errors() -> Iterator[None]:
         raise
     finally:
         warnings.showwarning = showwarning
+
+
+def _words_of(error: Exception) -> str | None:
+    """What is said of an error by input, or by the machine; None of others."""
+    if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, (ValueError, BackendError, OSError, ArithmeticError)):  # SceneError is a ValueError
+        return str(error)
+    if isinstance(error, MemoryError):
+        return f"not enough memory for this scene: {error}"
+    return place_of_error(error)
 
 
 def fail(message: str, status: int) -> None:
