@@ -4,20 +4,24 @@ A flat triangle cannot show a fold smaller than itself. Folds shorten it by a se
 limit l [N/m] of compression: the energy per area at rest is the least of (E + W) : C : (E + W) / 2 + l tr W over all such W. With
 l = 0 it is the relaxed energy of a membrane (Pipkin, IMA Journal of Applied Mathematics 36, 1986). It is convex in the strain E.
 Its stress S = C : (E + W) has no principal value below -l. A triangle is in one of three states. Flat: C : E bears the limit, W =
-0. Crushed: W = -l C^-1 : 1 - E is positive, and S = -l in all directions. Folded, else: W = a n n^T, where the direction n takes
-the most energy off, (l + n . C : E n)^2 / (2 n n : C : n n).
+0. Crushed: W = -l C^-1 : 1 - E is positive, and S = -l in all directions. Folded, else: W = a n n^T.
+
+With r^4 = warp / weft the axes of a fabric are drawn by r along the warp and by 1 / r along the weft. Then both are as stiff, m
+= (warp weft)^1/2, and W is as positive as it was. Of W_uu = (s + d) / r, W_vv = (s - d) r and W_uv = t a fold changes the
+energy by m (A s^2 + B d^2 + D t^2 + b_s s + b_d d + b_t t), A = 1 + coupling / m, B = 1 - coupling / m, D = 2 shear / m, and W
+is positive where s >= (d^2 + t^2)^1/2. At the least on the border of that cone a multiplier z >= 0 gives s = -b_s / 2 (A - z),
+d = -b_d / 2 (B + z) and t = -b_t / 2 (D + z). Let b be scaled so that b_d^2 + b_t^2 = 1. Then z is the only root of z - A = b_s
+R(z), R = ((b_d / (B + z))^2 + (b_t / (D + z))^2)^-1/2. R is concave and has the asymptote z + b_d^2 B + b_t^2 D. From where z -
+A meets b_s times that, Newton's method comes to the root from one side.
 """
 
 from taichi_sim.device.engine import ti
 
 __all__ = ["elastic", "folded"]
 
-# twice the angles of eight directions, by cosine and sine
-DIRECTIONS = [(1.0, 0.0), (0.5**0.5, 0.5**0.5), (0.0, 1.0), (-(0.5**0.5), 0.5**0.5)]
-DIRECTIONS += [(-c, -s) for c, s in DIRECTIONS]
-ROUNDS = 6  # of Newton's method, from 11 degrees off to what double precision tells
-TURN = 0.25  # tangent of half of the most that twice the angle changes in one of them
-NEAR = 1e-7  # the same, after which the next round would change nothing
+SOFTEST = 1e-12  # of A, B and D: less is taken for so much, where directions of folds are looked for
+ROUNDS = 16  # of Newton's method: four are usual, and twelve are enough for D from 1e-6 to 1e6
+NEAR = 1e-7  # part by which a round changes a divisor, after which the next round would change nothing
 
 
 @ti.func
@@ -35,81 +39,71 @@ def elastic(strain, of):
 @ti.func
 def folded(strain, of):
     """Stress and energy of a triangle of row `of` [N m], and its derivative by strain: the share of C, and two vectors whose
-    squares are taken off."""
+    squares are taken off. A limit below 0 is none; the row's `aspect` is r."""
+    fold, share, across, turn = 0.0 * strain, 1.0 + 0.0 * strain[0], 0.0 * strain, 0.0 * strain
     stress = elastic(strain, of)
-    energy, share, across, turn = 0.5 * strain.dot(stress), 1.0 + 0.0 * strain[0], 0.0 * strain, 0.0 * strain
-    half = 0.5 * (stress[0] - stress[1])
-    radius = ti.sqrt(half * half + stress[2] * stress[2])
-    if 0.5 * (stress[0] + stress[1]) - radius < -of.limit:
-        det = of.warp * of.weft - of.coupling * of.coupling
-        u, v = of.limit * (of.weft - of.coupling), of.limit * (of.warp - of.coupling)  # -det C^-1 : -1
-        wu, wv, wuv = -(u + det * strain[0]), -(v + det * strain[1]), -0.5 * det * strain[2]
-        if wu > 0.0 and wv > 0.0 and wu * wv > wuv * wuv:
-            energy = -of.limit * (strain[0] + strain[1] + 0.5 * (u + v) / det)
-            stress, share = ti.Vector([-of.limit, -of.limit, 0.0 * half]), 0.0 * half
-        else:
-            c, s = _direction(stress, half, radius, of)
-            along, beside = _square(c, s), _square_turned(c, s)
-            stiff, turned = elastic(along, of), elastic(beside, of)
-            p, q = along.dot(stiff), of.limit + along.dot(stress)
-            size = -q / p
-            energy -= 0.5 * q * q / p
-            stress += size * stiff
-            across = stiff / ti.sqrt(p)
-            kappa = beside.dot(stiff) / p
-            turn = turned - kappa * stiff
-            bend = ti.max(0.0, _square_bent(c, s).dot(stress))
-            turn /= ti.sqrt(ti.max(beside.dot(turned) - kappa * kappa * p, 1e-12 * p) + bend / size)
+    if of.limit >= 0.0 and ti.min(stress[0], stress[1]) + of.limit < ti.abs(stress[2]):  # else flat for sure
+        r = of.aspect
+        root = of.warp / (r * r)
+        both, limit = of.coupling / root, of.limit / root
+        stiff = ti.max(SOFTEST, ti.Vector([1.0 + both, 1.0 - both, 2.0 * of.shear / root]))
+        u, v = r * strain[0], strain[1] / r
+        b = stiff * ti.Vector([u + v, u - v, strain[2]]) + limit * ti.Vector([1.0 / r + r, 1.0 / r - r, 0.0])
+        size = ti.sqrt(b[1] * b[1] + b[2] * b[2])
+        if b[0] < size:
+            w = -0.5 * b / stiff
+            if w[0] >= ti.sqrt(w[1] * w[1] + w[2] * w[2]):
+                share = 0.0 * share
+            else:
+                z = _multiplier(b, size, stiff)
+                c, s = _direction(b, z, stiff)
+                p = stiff[0] + stiff[1] * c * c + stiff[2] * s * s
+                w = ti.max(0.0, -0.5 * (b[0] + b[1] * c + b[2] * s) / p) * ti.Vector([1.0, c, s])
+                across = ti.sqrt(0.5 * root / p) * _undrawn(stiff * ti.Vector([1.0, c, s]), r)
+                turn = ti.sqrt(0.5 * root) * _turn(c, s, p, z, stiff, r)
+            fold = ti.Vector([(w[0] + w[1]) / r, (w[0] - w[1]) * r, 2.0 * w[2]])
+            stress = elastic(strain + fold, of)
+    energy = 0.5 * (strain + fold).dot(stress) + of.limit * (fold[0] + fold[1])
     return stress, energy, share, across, turn
 
 
 @ti.func
-def _square(c, s):
-    """Strain n n^T of a direction by cosine and sine of twice its angle."""
-    return ti.Vector([0.5 * (1.0 + c), 0.5 * (1.0 - c), s])
+def _undrawn(y, r):
+    """Twice a derivative by E_uu, E_vv and 2 E_uv, of one by (r E_uu + E_vv / r) / 2, (r E_uu - E_vv / r) / 2 and E_uv."""
+    return ti.Vector([(y[0] + y[1]) * r, (y[0] - y[1]) / r, y[2]])
 
 
 @ti.func
-def _square_turned(c, s):
-    """Derivative of `_square` by twice the angle."""
-    return ti.Vector([-0.5 * s, 0.5 * s, c])
+def _turn(c, s, p, z, stiff, r):
+    """Vector whose square folds take off C by turning, for a root m of 2."""
+    one = ti.Vector([c * s * (stiff[1] - stiff[2]), -s * (stiff[0] + stiff[2]), c * (stiff[0] + stiff[1])])
+    h = stiff[0] * (stiff[1] * s * s + stiff[2] * c * c) + stiff[1] * stiff[2]
+    return _undrawn(stiff * one, r) / (p * ti.sqrt(z + h / p))
 
 
 @ti.func
-def _square_bent(c, s):
-    """Second derivative of `_square` by twice the angle."""
-    return ti.Vector([-0.5 * c, 0.5 * c, -s])
-
-
-@ti.func
-def _direction(stress, half, radius, of):
-    """Direction that folds take the most energy off along, by cosine and sine of twice its angle."""
-    c, s = -half / radius, -stress[2] / radius  # of the least principal stress
-    best = _gain(c, s, stress, of)
-    for k in ti.static(range(len(DIRECTIONS))):
-        gain = _gain(DIRECTIONS[k][0], DIRECTIONS[k][1], stress, of)
-        if gain > best:
-            best, c, s = gain, DIRECTIONS[k][0] + 0.0 * c, DIRECTIONS[k][1] + 0.0 * s
-    change = 1.0 + 0.0 * c
+def _multiplier(b, size, stiff):
+    """Root z of z - A = b_s R(z)."""
+    ratio, gap = b[0] / size, (size - b[0]) / size
+    d, t = (b[1] / size) ** 2, (b[2] / size) ** 2
+    z = ti.max(0.0, (stiff[0] + ratio * (d * stiff[1] + t * stiff[2])) / gap)
+    least = ti.min(stiff[1], stiff[2])
     for _ in range(ROUNDS):
-        if ti.abs(change) > NEAR:
-            along, beside, bent = _square(c, s), _square_turned(c, s), _square_bent(c, s)
-            stiff = elastic(along, of)
-            p, q, dq = along.dot(stiff), of.limit + along.dot(stress), beside.dot(stress)
-            kappa = beside.dot(stiff)
-            slope = dq * p - q * kappa
-            rise = bent.dot(stress) * p + dq * kappa - q * (beside.dot(elastic(beside, of)) + bent.dot(stiff))
-            change = -0.5 * slope / ti.max(ti.abs(rise), 1e-30)
-            change = ti.max(-TURN, ti.min(TURN, change))
-            one = 1.0 / (1.0 + change * change)
-            dc, ds = (1.0 - change * change) * one, 2.0 * change * one
-            c, s = c * dc - s * ds, s * dc + c * ds
-    return c, s
+        p, q = 1.0 / (stiff[1] + z), 1.0 / (stiff[2] + z)
+        one, other = d * p * p, t * q * q
+        square = 1.0 / (one + other)
+        reach = ti.sqrt(square)
+        slope = (one * p + other * q) * square * reach
+        change = (z - stiff[0] - ratio * reach) / ti.max(1.0 - ratio * slope, 1e-3 * gap)
+        z = ti.max(0.0, z - change)
+        if change * ratio <= 0.0 or ti.abs(change) <= NEAR * (least + z):  # beyond the root by rounding, or there
+            break
+    return z
 
 
 @ti.func
-def _gain(c, s, stress, of):
-    """Twice the energy that folds along a direction take off, 0 where it bears the limit [N m]."""
-    along = _square(c, s)
-    q, p = of.limit + along.dot(stress), along.dot(elastic(along, of))
-    return ti.select(q < 0.0, q * q / ti.max(p, 1e-30), 0.0 * q)
+def _direction(b, z, stiff):
+    """Direction of folds in the drawn axes, by cosine and sine of twice its angle."""
+    d, t = -b[1] / (stiff[1] + z), -b[2] / (stiff[2] + z)
+    one = 1.0 / ti.sqrt(d * d + t * t)
+    return d * one, t * one

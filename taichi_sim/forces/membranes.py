@@ -11,11 +11,12 @@ from taichi_sim.forces.corners import Corners
 from taichi_sim.forces.folding import elastic, folded
 from taichi_sim.kernels.springs import padded_blocks
 from taichi_sim.kernels.springs.padded_blocks import dot
-from taichi_sim.scene.membranes import shape_gradients
+from taichi_sim.scene.membranes import aspect, shape_gradients
 
 __all__ = ["Membranes"]
 
-NO_LIMIT = 1e30  # N/m, which nothing reaches that single precision holds
+NO_LIMIT = -1.0  # N m
+MOST_LIMIT = 1e9  # times the stiffer thread: no strain comes to it
 
 
 @ti.data_oriented
@@ -48,7 +49,12 @@ class Membranes(Corners):
             values["damping"] = scene.membrane_damping
         self.folds = bool(np.isfinite(scene.membrane_compression_limit).any())
         if self.folds:
-            values["limit"] = area * np.minimum(scene.membrane_compression_limit, NO_LIMIT)
+            most = MOST_LIMIT * np.maximum(scene.membrane_warp, scene.membrane_weft)
+            folds = scene.membrane_compression_limit < most
+            values["limit"] = np.where(folds, area * scene.membrane_compression_limit, NO_LIMIT)
+            values["aspect"] = aspect(
+                np.where(folds, scene.membrane_warp, 1.0), np.where(folds, scene.membrane_weft, 1.0)
+            )
         self.triangle = fields.table({**types, **dict.fromkeys(values, real)}, self.count, {**data, **values})
         vector = ti.types.vector(3, real)
         self.state = fields.table({"u": vector, "v": vector, "stress": vector}, self.count)

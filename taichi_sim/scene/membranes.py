@@ -13,10 +13,22 @@ from taichi_sim.scene.columns import Column
 from taichi_sim.scene.part import Columns, Element, Quadratic
 from taichi_sim.scene.solids import shape_gradients
 
-__all__ = ["MEMBRANES", "MembraneMethods", "flattened", "require_coupling", "shape_gradients"]
+__all__ = [
+    "MEMBRANES",
+    "MembraneMethods",
+    "aspect",
+    "flattened",
+    "folded_energy",
+    "require_coupling",
+    "require_folding",
+    "shape_gradients",
+]
 
 Floats = NDArray[np.float64]
 ROOM = 1.5  # times the stiffness at rest: what a sheet has that is stretched by a seventh
+MOST_UNLIKE = 1e6  # times the weaker thread the stronger one of a sheet that folds: beyond that it is none
+SOFTEST = 1e-12  # as in forces/folding.py, and ROUNDS
+ROUNDS = 16
 FLAT = 1e-9  # of the square of the longest edge: a triangle of less area has none
 
 
@@ -57,7 +69,7 @@ class MembraneMethods:
             shear: force per width and angle of shear [N/m]; by default (warp - coupling) / 2, that of an isotropic sheet.
             coupling: force per width along the weft, and strain along the warp [N/m]; its square is at most warp times weft.
             compression_limit: force per width of compression at which a triangle gives way, as a sheet that folds below its size,
-                see `physics.md`; at least 0, None or inf: never [N/m].
+                see `physics.md`; at least 0, None or inf: never [N/m]. Its weft is then from 1e-6 to 1e6 times its warp.
             damping: time by which stresses of the rate of strain are those of strain, one or one per triangle, >= 0 [s].
             rest: (t, 3, 2) corners at rest in the plane of the fabric, u along the warp [m]; None: the present shape, its warp
                 along the first two corners.
@@ -81,7 +93,17 @@ class MembraneMethods:
             raise SceneError("membranes.shear", says="is missing; only where warp and weft are alike it has a default")
         columns.setdefault("shear", 0.5 * (one - both))
         columns["compression_limit"] = validation.limits("membranes.compression_limit", compression_limit, t, low=0)
+        require_folding("membranes.weft", one, other, columns["compression_limit"])
         return self.tables["membranes"].append(t, corners=ij, rest=flat, coupling=both, **columns)  # type: ignore[no-any-return]
+
+
+def require_folding(where: str, warp: ArrayLike, weft: ArrayLike, limit: ArrayLike) -> None:
+    """Raise SceneError for the first weft [N/m] of a sheet that folds at a limit [N/m], inf: never, and that has next to no
+    stiffness along one of its axes. Without it folds would be without bounds."""
+    one, other = np.broadcast_arrays(np.asarray(warp, dtype=float), weft)
+    good = (one > 0) & (one <= MOST_UNLIKE * other) & (other <= MOST_UNLIKE * one)
+    allowed = f"from {1 / MOST_UNLIKE:g} to {MOST_UNLIKE:g} times the warp, both above 0, where it folds"
+    validation.require(where, other, good | np.isposinf(np.asarray(limit, dtype=float)), allowed)
 
 
 def require_coupling(where: str, coupling: ArrayLike, warp: ArrayLike, weft: ArrayLike) -> None:
@@ -107,44 +129,49 @@ def flattened(x: Floats, direction: Floats | None = None) -> Floats:
 def folded_energy(strain: Floats, law: Floats, limit: Floats) -> Floats:
     """Energy per area at rest (t,) [N/m] of strains (t, 3), E_uu, E_vv and 2 E_uv, by the laws C (t, 3, 3) [N/m] of sheets that
     fold where their compression is above a limit (t,) [N/m]; see forces/folding.py, which says why."""
-    stress = np.einsum("tij,tj->ti", law, strain)
-    energy = 0.5 * np.sum(strain * stress, axis=1)
-    mean, half = 0.5 * (stress[:, 0] + stress[:, 1]), 0.5 * (stress[:, 0] - stress[:, 1])
-    (gives,) = np.nonzero(mean - np.hypot(half, stress[:, 2]) < -limit)
-    if not len(gives):
-        return energy
-    strain, law, limit, stress = strain[gives], law[gives], limit[gives], stress[gives]
-    starts = [
-        np.full(len(gives), a) for a in np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
-    ]  # twice the angles of directions
-    starts.append(np.arctan2(-stress[:, 2], -half[gives]))  # of the least principal stress
-    gain = [_fold_terms(angle, stress, law, limit)[0] for angle in starts]
-    best = np.array(starts)[np.argmax(gain, axis=0), np.arange(len(gives))]
-    for _ in range(6):  # of Newton's method
-        _, slope, rise = _fold_terms(best, stress, law, limit)
-        best -= np.clip(slope / np.maximum(np.abs(rise), 1e-300), -0.2, 0.2)
-    less = energy[gives] - 0.5 * _fold_terms(best, stress, law, limit)[0]
-    det = law[:, 0, 0] * law[:, 1, 1] - law[:, 0, 1] ** 2
-    one, other = limit * (law[:, 1, 1] - law[:, 0, 1]), limit * (law[:, 0, 0] - law[:, 0, 1])
-    u, v, uv = -(one + det * strain[:, 0]), -(other + det * strain[:, 1]), -0.5 * det * strain[:, 2]
-    crushed = (u > 0) & (v > 0) & (u * v > uv * uv)
-    flat = -limit * (strain[:, 0] + strain[:, 1] + 0.5 * (one + other) / np.where(crushed, det, 1.0))
-    energy[gives] = np.where(crushed, flat, less)
-    return energy
+    (folds,) = np.nonzero(np.isfinite(limit))
+    whole, work = strain.copy(), np.zeros(len(strain))
+    if len(folds):
+        fold = _folds(strain[folds], law[folds], limit[folds])
+        whole[folds] += fold
+        work[folds] = limit[folds] * (fold[:, 0] + fold[:, 1])
+    return np.asarray(0.5 * np.einsum("ti,tij,tj->t", whole, law, whole) + work)
 
 
-def _fold_terms(angle: Floats, stress: Floats, law: Floats, limit: Floats) -> tuple[Floats, Floats, Floats]:
-    """Twice the energy that folds take off along directions by twice their angles; what is 0 where that is greatest, and its
-    derivative."""
-    c, s = np.cos(angle), np.sin(angle)
-    along, beside = np.stack([0.5 + 0.5 * c, 0.5 - 0.5 * c, s], axis=1), np.stack([-0.5 * s, 0.5 * s, c], axis=1)
-    bent = np.stack([-0.5 * c, 0.5 * c, -s], axis=1)
-    stiff, turned = (np.einsum("tij,tj->ti", law, w) for w in (along, beside))
-    p, q, dq = (np.sum(a * b, axis=1) for a, b in ((along, stiff), (along, stress), (beside, stress)))
-    q = q + limit
-    kappa = np.sum(beside * stiff, axis=1)
-    rise = np.sum(bent * stress, axis=1) * p + dq * kappa - q * np.sum(beside * turned + bent * stiff, axis=1)
-    return np.where(q < 0, q * q / np.maximum(p, 1e-300), 0.0), dq * p - q * kappa, rise
+def _folds(strain: Floats, law: Floats, limit: Floats) -> Floats:
+    """Second strain W (t, 3) of sheets that fold; see `folded_energy`."""
+    r, root = aspect(law[:, 0, 0], law[:, 1, 1]), np.sqrt(law[:, 0, 0] * law[:, 1, 1])
+    both, limit = law[:, 0, 1] / root, limit / root
+    stiff = np.maximum(SOFTEST, [1.0 + both, 1.0 - both, 2.0 * law[:, 2, 2] / root])
+    u, v = r * strain[:, 0], strain[:, 1] / r
+    b = stiff * [u + v, u - v, strain[:, 2]] + limit * [1.0 / r + r, 1.0 / r - r, 0.0 * r]
+    w = -0.5 * b / stiff
+    folded = (b[0] < np.hypot(b[1], b[2])) & (w[0] < np.hypot(w[1], w[2]))
+    w[:, folded] = _folds_along(b[:, folded], stiff[:, folded])
+    w[:, b[0] >= np.hypot(b[1], b[2])] = 0.0
+    return np.stack([(w[0] + w[1]) / r, (w[0] - w[1]) * r, 2.0 * w[2]], axis=1)
+
+
+def _folds_along(b: Floats, stiff: Floats) -> Floats:
+    """s, d and t (3, t) of folds in one direction, of b (3, t) and of A, B and D (3, t)."""
+    size = np.hypot(b[1], b[2])
+    ratio, gap, share = b[0] / size, (size - b[0]) / size, (b[1:] / size) ** 2
+    z = np.maximum(0.0, (stiff[0] + ratio * np.sum(share * stiff[1:], axis=0)) / gap)
+    for _ in range(ROUNDS):
+        part = share / (stiff[1:] + z) ** 2
+        reach = np.sum(part, axis=0) ** -0.5
+        slope = np.sum(part / (stiff[1:] + z), axis=0) * reach**3
+        z = np.maximum(0.0, z - (z - stiff[0] - ratio * reach) / np.maximum(1.0 - ratio * slope, 1e-3 * gap))
+    turned = -b[1:] / (stiff[1:] + z)
+    along = np.stack([np.ones(len(z)), *(turned / np.hypot(*turned))])
+    least = -0.5 * np.sum(b * along, axis=0) / np.sum(stiff * along**2, axis=0)
+    return np.asarray(np.maximum(0.0, least) * along)
+
+
+def aspect(warp: Floats, weft: Floats) -> Floats:
+    """Factor r (t,) by which fabrics of a warp and a weft [N/m] are drawn where their folds are looked for; see
+    forces/folding.py."""
+    return np.asarray((warp / weft) ** 0.25)
 
 
 class _Membranes(Columns, Element):

@@ -14,7 +14,7 @@ from taichi_sim.common.errors import SceneError, about, following
 from taichi_sim.common.spelling import takes_color
 from taichi_sim.common.warn import warn
 from taichi_sim.geometry import mesh as meshes
-from taichi_sim.scene.membranes import require_coupling
+from taichi_sim.scene.membranes import require_coupling, require_folding
 from taichi_sim.scene.scene import Scene
 from taichi_sim.shapes import cloth_material
 from taichi_sim.shapes.base import (
@@ -191,6 +191,8 @@ def cloth(
     drag = at_least_0("cloth.damping", damping)
     if validation.flags("cloth.folds", folds, 1)[0] and weave is None:
         raise SceneError("cloth.folds", says="is for a cloth of triangles; give warp, warp_angle or young_modulus")
+    if folds and weave is not None:
+        require_folding("cloth.weft", weave.warp, weave.weft, 0.0)
     if drag and weave is not None and weave.warp == 0:
         raise SceneError("cloth.damping", says="acts along the warp as its stiffness does; give a warp above 0")
     strength = 0.0
