@@ -16,7 +16,7 @@ import taichi_sim as ts
 from taichi_sim.common.errors import SceneError
 from taichi_sim.reports.speed_error import budget, command, report, resolution, tune
 from taichi_sim.reports.speed_error.compared import Compared
-from taichi_sim.reports.speed_error.plan import PARTS, fitting
+from taichi_sim.reports.speed_error.plan import FRAME, PARTS, fitting, limit
 from taichi_sim.reports.speed_error.reference import Reference
 from taichi_sim.reports.speed_error.trial_process import Outcome, Track, Trial
 
@@ -543,3 +543,83 @@ def test_a_report_has_the_error_of_the_mesh(tmp_path, monkeypatch):
         found = report.main(scene, plan(resolutions=True), tmp_path / f"r{k}", meshes=meshes, **NONE).budget
         assert found.mesh == (None if mesh is None else pytest.approx(mesh, rel=1e-3))
         assert found.why.endswith(why)
+
+
+def placed():
+    """The pair, and the place of one of its balls."""
+    scene = pair()
+    scene.add_probe("tip", "position", balls=[1])
+    return scene
+
+
+def with_meshes(monkeypatch, off, **options):
+    """Finer meshes of `placed`, and processes that move their balls by (1 - 4^-k) off, (PARTS,) or a number [m], with k = 1, 2:
+    the mesh's error is off, of order 2."""
+    meshes = []
+    for k in (1, 2):
+        fine = placed()
+        fine.add_balls(np.zeros((k, 2)), radius=0.05)  # balls that the coarse mesh does not have
+        meshes.append(resolution.Finer(fine, np.array([0, 1])))
+
+    def made_up(given, *_):
+        workers = MadeUp(given, **options)
+        run, by = workers.run, (1.0 - 0.25 ** (given.n_balls - 2)) * np.broadcast_to(off, PARTS)
+
+        def finer_run(precision, trial):
+            outcome = run(precision, trial._replace(step=trial.step._replace(seconds=1e-9)))
+            places = [x + np.array([d, 0.0]) for x, d in zip(outcome.position, by)]
+            return outcome._replace(position=places, quantity=[x + d for x, d in zip(outcome.quantity, by)])
+
+        workers.run = run if given.n_balls == 2 else finer_run
+        return workers
+
+    monkeypatch.setattr(report, "TrialProcesses", made_up)
+    return meshes
+
+
+@pytest.mark.parametrize("quantity", ["tip.x", None])
+def test_what_has_settled_does_not_part_and_its_place_has_the_error_of_the_mesh(tmp_path, monkeypatch, quantity):
+    """Its motion is far below what the runs start apart, and no measure of how they part."""
+    scene = placed()
+    meshes = with_meshes(monkeypatch, 0.03, moves=3e-10)
+    asked = plan(quantity=quantity, resolutions=True, rest=scene.position + 2e-8)
+    findings = report.main(scene, asked, tmp_path / "r", meshes=meshes, **NONE)
+    assert not findings.reference.chaotic
+    assert findings.reference.step == fitting(0.4, min(FRAME, limit(scene, "rk4")) / 4.0).seconds / 2.0  # no finer one
+    assert findings.budget.mesh == pytest.approx(0.03, rel=1e-3)
+    said = list(findings.about())
+    line = next(line for line in said if "own settings" in line)
+    value = r"Value of tip.x at its largest motion .*: 1.10 \+- 0.03 m" if quantity else r"Places at .*: \+- 30.0 mm"
+    assert re.search(value + r" \(mesh\), ", line)
+    assert any("moves by no more than what `settle` left" in line for line in said)
+    assert not any("statistics alone" in line for line in said)
+
+
+def test_what_has_settled_parts_where_the_runs_do(tmp_path, monkeypatch):
+    scene = placed()
+    with_meshes(monkeypatch, 0.0, moves=3e-10, grows=9.0)
+    findings = report.main(scene, plan(quantity="tip.x", rest=scene.position + 2e-8), tmp_path / "r", **NONE)
+    assert findings.reference.chaotic
+
+
+@pytest.mark.parametrize("quantity", ["tip.x", None])
+def test_the_error_of_the_largest_motion_is_no_error_of_another_moment(tmp_path, monkeypatch, quantity):
+    """Meshes that come to the same rest in other times."""
+    path = 1.0 - np.exp(-0.9 * np.arange(1, PARTS + 1))
+    off = 0.07 * np.exp(-0.9 * np.arange(PARTS)) + 0.002
+    meshes = with_meshes(monkeypatch, off, path=path, moves=0.4)
+    found = report.main(placed(), plan(quantity=quantity, resolutions=True), tmp_path / "r", meshes=meshes, **NONE)
+    assert found.budget.value == pytest.approx(0.4, rel=1e-2)
+    assert found.budget.mesh == pytest.approx(off[-1], rel=1e-2)
+    assert found.budget.order == pytest.approx(2.0, abs=1e-2)
+
+
+def test_extremes_that_agree_by_luck_are_off_by_what_the_runs_are():
+    """At the moments where either is the largest, as `run --error` tells it."""
+    compared = Compared(placed(), plan(quantity="tip.x"))
+    one, other = (
+        Outcome("", [], [], [], quantity=[np.array([1.1 + x]) for x in values], begin=np.array([1.1]))
+        for values in ([0.1, 0.5, 0.2, 0.9], [0.4, 0.1, 0.5, 0.0])
+    )
+    assert compared.error_of_largest(one, other, 3) == pytest.approx(0.4)
+    assert compared.error_of_largest(one, other, 1) == pytest.approx(0.3)

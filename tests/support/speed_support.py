@@ -40,11 +40,13 @@ def plan(**other):
 class MadeUp:
     """Stands for TrialProcesses: the pair's solution with an error of (h RATE)^order, and a cost of 1 ms a step (RK4 4 ms).
 
-    grows: how many times a difference at the start is larger at each part. fail: after so many runs comes a Ctrl-C.
+    grows: how many times a difference at the start is larger at each part. fail: after so many runs comes a Ctrl-C. moves [m]:
+    amplitude of its motion, which its error is a part of. path: (PARTS,) how far it has gone at each part, of that.
     """
 
-    def __init__(self, scene, *, grows=1.0, fail=None, cost=None):
+    def __init__(self, scene, *, grows=1.0, fail=None, cost=None, moves=0.1, path=None):
         self.scene, self.grows, self.fail, self.trials = scene, grows, fail, []
+        self.moves, self.path = moves, np.sin(np.arange(1, PARTS + 1)) if path is None else path
         self.cost = cost or {}
 
     def __enter__(self):
@@ -59,18 +61,23 @@ class MadeUp:
         self.trials.append((precision, trial))
         start = self.scene.position if trial.start is None else trial.start
         position, energy, quantity = [], [], []
-        spring = self.scene.probes and self.scene.probes[0].given["spring"] == 0
+        probe = self.scene.probes[0].given if self.scene.probes else {}
+        spring, place = probe.get("spring") == 0, probe.get("balls")
         for k in range(1, PARTS + 1):
             x = start + self.grows**k * (start - self.scene.position)
-            x[:, 0] += 0.1 * np.sin(k) + (trial.step.seconds * RATE) ** ORDER[trial.method]
+            off = (trial.step.seconds * RATE) ** ORDER[trial.method]
+            x[:, 0] += self.moves * (self.path[k - 1] + off / 0.1)
             position.append(x)
             energy.append((0.5, 0.5, 0.0, 1.0))
             if spring:  # its tension, of the place of ball 0: what MadeUp says of lengths does not change
                 quantity.append(np.array([STIFFNESS * (x[0, 0] - start[0, 0])]))
+            elif place is not None:  # along the first axis
+                quantity.append(x[place].mean(axis=0)[:1])
         cost = self.cost.get((precision, trial.method), 4e-3 if trial.method == "rk4" else 1e-3)
         seconds = cost * trial.step.number * PARTS
         if seconds > trial.most:
             return Outcome("made up", [], [], [], left_out="too long")
         contacts = [(0, 0.0)] * PARTS
+        begin = None if place is None else start[place].mean(axis=0)[:1]
         passes = float(named(trial.method).passes(self.scene, trial.step.seconds) * trial.step.number * PARTS)
-        return Outcome("made up", position, energy, contacts, seconds, passes=passes, quantity=quantity)
+        return Outcome("made up", position, energy, contacts, seconds, passes=passes, quantity=quantity, begin=begin)

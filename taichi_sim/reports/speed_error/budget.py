@@ -9,9 +9,9 @@ import numpy as np
 from taichi_sim.analysis.outcome import has_mesh
 from taichi_sim.analysis.richardson import error_from
 from taichi_sim.common.quantities import EXACT, ROUNDED, measured
-from taichi_sim.reports.speed_error.compared import worst
+from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS, Step, own_step
-from taichi_sim.reports.speed_error.reference import Reference
+from taichi_sim.reports.speed_error.reference import Reference, settled_run
 from taichi_sim.reports.speed_error.trial_process import Outcome
 from taichi_sim.reports.speed_error.trials import Trials
 
@@ -23,10 +23,10 @@ HIGHEST_ORDER = 3.0  # above it the finer difference is small by chance: springs
 
 @dataclass(frozen=True)
 class Budget:
-    """Parts of an error, in the unit of what is compared; None: not measured, or not known. Each is the largest at the
-    moments compared.
+    """Parts of an error, in the unit of what is compared; None: not measured, or not known. Each is that of the value, see
+    `Compared.error_of_largest`.
 
-    value: of what `name` says. order: of the mesh, as observed. precision: the scene's own.
+    value: of what `name` says, nan where errors are of places alone. order: of the mesh, as observed. precision: the scene's own.
     """
 
     name: str
@@ -45,6 +45,14 @@ class Budget:
     settling: float | None = None  # of what `settle` leaves; None without it, infinite: not known
     given: float = 0.0  # s, the step that the scene would be run with; 0: this one
 
+    @property
+    def scale(self) -> float:
+        """Size of the value, or of its largest error, which rounding is relative to."""
+        if np.isnan(self.value):
+            settling = self.settling if self.settling is not None and np.isfinite(self.settling) else 0.0
+            return max(settling, self.mesh or 0.0, self.step or 0.0, self.single or 0.0)
+        return abs(self.value)
+
     def lines(self) -> Iterator[str]:
         """Line of words: `12.3 +- 0.4 mm (mesh), +- 0.1 mm (step), +- 1.0 µm (single precision)`."""
         parts = {"step": self.step, "mesh": self.mesh, "single precision": self.single}
@@ -56,15 +64,15 @@ class Budget:
         if double:
             del parts["single precision"]
         known = sorted(((value, name) for name, value in parts.items() if value is not None), reverse=True)
-        told = [one for one in known if one[0] > EXACT * self.value]
-        words = [
-            measured(self.value, told[0][0], self.unit, told[0][1]) if told else measured(self.value, unit=self.unit)
-        ]
-        words += [f"+- {measured(value, unit=self.unit)} ({name})" for value, name in told[1:]]
+        told = [one for one in known if one[0] > EXACT * self.scale]
+        words = [f"+- {measured(value, unit=self.unit)} ({name})" for value, name in told]
+        if not np.isnan(self.value):
+            uncertain = told[0] if told else (None, "")
+            words[:1] = [measured(self.value, uncertain[0], self.unit, uncertain[1])]
         if exact := [name for _, name in known[len(told) :]]:
             words.append(f"{' and '.join(exact)} {ROUNDED}")
         words += [f"{name} not known" for name, value in parts.items() if value is None]
-        if self.missed > EXACT * self.value:
+        if self.missed > EXACT * self.scale:
             words.append(f"+- {measured(self.missed, unit=self.unit)} (between these times)")
         own = "the scene's own settings" + " in double precision" * double
         if self.given > self.step_length * (1.0 + 1e-6):
@@ -83,7 +91,7 @@ class Budget:
             most, name = max((self.step, "step"), (self.settling or 0.0, "settling"))
             times = (
                 f"{self.mesh / most:.2g} times that of the {name}"
-                if most > EXACT * self.value
+                if most > EXACT * self.scale
                 else "the only one beside rounding"
             )
             yield (
@@ -105,28 +113,47 @@ def made(
     parts, compared = reference.parts, trials.compared
     if not parts or not reference.motion:
         return None
-    off = rounded = None
+    off = rounded = settling = None
     if _reached(double):
-        off = worst(compared.errors(double, reference)[:parts])
+        off = compared.error_of_largest(double, reference, parts)
         if single is not None and _reached(single):
-            rounded = worst(compared.errors(single, double)[:parts])
-    value, name = reference.motion, "rms displacement"
-    if compared.quantity is not None and compared.quantity.from_start:  # where it is says nothing
-        value, name = float(np.max(reference.displacement[:parts])), f"motion of {compared.name}"
-    elif compared.quantity is not None:
-        value, name = float(np.linalg.norm(reference.quantity[:parts], axis=1).max()), compared.name
+            rounded = compared.error_of_largest(single, double, parts)
+    if trials.plan.rest is not None:
+        settled = settled_run(trials, reference)
+        settling = np.inf if settled is None else compared.error_of_largest(settled, reference, parts)
+    value, name = _largest(compared, reference, settling is not None)
     meshed = trials.plan.resolutions or has_mesh(trials.scene)
     precision = trials.scene.settings.get("precision") or "f32"
     if "f32" not in trials.plan.precisions:  # nothing runs in it
         precision = "f64"
     return Budget(
-        *(compared.sampled(name, parts), compared.unit, value, method, step.seconds, off),
+        *(name, compared.unit, value, method, step.seconds, off),
         single=rounded,
         meshed=meshed,
         precision=precision,
         missed=reference.missed,
-        settling=reference.settling,
+        settling=settling,
         given=own_step(trials.scene, method)[1],
+    )
+
+
+def _largest(compared: Compared, reference: Reference, settled: bool) -> tuple[float, str]:
+    """The number that errors are of, and its name. What has settled elsewhere may move alike: errors are of where it is then."""
+    parts, quantity = reference.parts, compared.quantity
+    sizes = compared.sizes(reference)[:parts]
+    at = int(np.argmax(sizes))
+    if quantity is None:
+        name = compared.sampled("rms displacement", parts)
+        return (np.nan, f"places at the {name}") if reference.rests else (float(sizes[at]), name)
+    if not quantity.from_start:
+        return float(sizes[at]), compared.sampled(compared.name, parts)
+    if not settled:  # where it is says nothing
+        return float(sizes[at]), compared.sampled(f"motion of {compared.name}", parts)
+    value, moved = reference.quantity[at], f"{compared.name} at its {compared.sampled('motion', parts)}"
+    return (
+        (float(value[0]), f"value of {moved}")
+        if len(value) == 1
+        else (float(np.linalg.norm(value)), f"size of {moved}")
     )
 
 

@@ -55,12 +55,20 @@ class Compared:
     def motion(self, outcome: Any, energy: float) -> Floats:
         """Sizes that errors are relative to, (parts,) at each moment of an outcome. energy: the largest kinetic and spring
         one [J]."""
+        sizes = self.sizes(outcome)
+        return np.full(len(sizes), energy) if self.quantity is not None and self.quantity.of_energy else sizes
+
+    def sizes(self, outcome: Any) -> Floats:
+        """Sizes of what is compared, (parts,) at each moment of an outcome or reference: from its start, or from its own zero."""
         if self.quantity is None:
             return np.array([rms(distance(self.scene, x, self.scene.position)) for x in outcome.position])
-        values = np.array(outcome.quantity)
-        if self.quantity.of_energy:
-            return np.full(len(values), energy)
-        return np.linalg.norm(values - (outcome.begin if self.quantity.from_start else 0.0), axis=1)
+        return np.linalg.norm(np.array(outcome.quantity) - (outcome.begin if self.quantity.from_start else 0.0), axis=1)
+
+    def error_of_largest(self, a: Any, b: Any, parts: int) -> float:
+        """Distance of two outcomes or references at the moments, of the first `parts`, where either of them has its largest size,
+        as rms over balls: two largest sizes may agree by luck."""
+        errors = self.errors(a, b)
+        return max(rms(errors[int(np.argmax(self.sizes(one)[:parts]))]) for one in (a, b))
 
     def size_in_words(self, parts: int) -> str:
         """Name of the size that errors are relative to. parts: of the duration, at whose ends it was looked for."""

@@ -8,7 +8,7 @@ from taichi_sim.common.quantities import EXACT, measured
 from taichi_sim.reports.speed_error.budget import Budget
 from taichi_sim.reports.speed_error.compared import Compared
 from taichi_sim.reports.speed_error.plan import PARTS, Plan, longest_step
-from taichi_sim.reports.speed_error.reference import APART, PARTED, Reference
+from taichi_sim.reports.speed_error.reference import APART, LEAST, PARTED, Reference
 from taichi_sim.reports.speed_error.rows import (
     CLEAR_OF_REFERENCE,
     ERROR_FALLS,
@@ -124,6 +124,10 @@ class Findings:
                 f" which differ by {reference.known / reference.motion:.1g} of that. Errors below"
                 f" {CLEAR_OF_REFERENCE:g} times this difference are not used for orders, nor for the comparison of methods."
             )
+            if reference.rests:
+                yield (
+                    f"{compared.name} moves by no more than what `settle` left, so that errors relative to its motion say little."
+                )
             if self.budget is not None:
                 yield from self.budget.lines()
         if not any(row.verdict == STABLE for row in self.rows):
@@ -140,7 +144,9 @@ class Findings:
         elif self.dropped and reference.parts:
             yield f"{len(self.dropped)} stable runs lie so near to the reference that their errors cannot be told."
         yield from self._stuck()
-        whose = "the size" if compared.quantity is None else f"the motion of {compared.name}"
+        whose = "the size"
+        if compared.quantity is not None:
+            whose = f"the motion of {compared.name}, or of {LEAST:g} of the size, whichever says less"
         grown = (
             f"Two runs that start {APART:g} of the size apart part by up to {reference.parting.max():.1g} of {whose}"
         )

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from taichi_sim.analysis.between_samples import beyond
 from taichi_sim.analysis.methods import RK4
 from taichi_sim.analysis.richardson import rms
-from taichi_sim.reports.speed_error.compared import worst
+from taichi_sim.common.quantities import EXACT
+from taichi_sim.reports.speed_error.compared import distance, worst
 from taichi_sim.reports.speed_error.plan import FRAME, PARTS, WORK, Step, fitting, halved, limit, own_step
 from taichi_sim.reports.speed_error.trial_process import Outcome
 from taichi_sim.reports.speed_error.trials import Trials
@@ -23,6 +24,7 @@ REFERENCE = RK4.name
 
 Floats = NDArray[np.float64]
 APART, PARTED = 1e-8, 1e-3  # of the size, at the start and at the horizon; of a quantity's motion there
+LEAST = 1e-4  # of the size: in less motion than that, PARTED is what the runs start APART, and nothing has grown
 GOOD = 1e-6  # of the motion: a reference known to that needs no other method
 FINE = 1e-9  # of the motion: finer steps are tried up to that where they cost little
 QUICK = 2.0  # times the work of a default reference, for which another method need not be compiled
@@ -47,7 +49,7 @@ class Reference:
     )  # (PARTS, 1 or dim) in its unit, where one is asked for, else (PARTS, 0)
     energy: Floats = field(default_factory=_none)  # (PARTS, 4) J
     # all (PARTS,): between the two steps, rms of positions [m] or of the quantity in its unit; what that is relative to, see
-    # `Compared.motion`; between the runs that start APART, of positions as a part of the size, of a quantity of its motion
+    # `Compared.motion`; between the runs that start APART, see `_parting`
     difference: Floats = field(default_factory=lambda: np.zeros(0))
     displacement: Floats = field(default_factory=lambda: np.zeros(0))
     parting: Floats = field(default_factory=lambda: np.zeros(0))
@@ -57,6 +59,7 @@ class Reference:
     why: str = ""  # there is none
     # effect of what `settle` leaves, as `difference`, at the worst moment; None without it, infinite: not known
     settling: float | None = None
+    begin: Floats | None = None  # (1 or dim,) the quantity at the start
 
     @property
     def parts(self) -> int:
@@ -73,6 +76,17 @@ class Reference:
     def motion(self) -> float:
         """Size that errors are relative to, the largest before the horizon."""
         return float(self.displacement[: self.parts].max(initial=0.0))
+
+    @property
+    def rests(self) -> bool:
+        """True if what is compared moves by no more than what `settle` left."""
+        return self.motion <= (self.settling or 0.0) < np.inf
+
+    @property
+    def rounding(self) -> float:
+        """Error of rounding, below which no finer step helps, in the unit of what is compared."""
+        values = self.quantity if self.quantity.size else self.position
+        return EXACT * float(np.abs(values[: self.parts]).max(initial=0.0))
 
     @property
     def missed(self) -> float:
@@ -117,16 +131,21 @@ def _largest(energy: Floats) -> float:
 def make(trials: Trials, enough: float | None = None) -> Reference:
     """Run what the reference needs in double precision. enough: part of the motion to which it must be known; then the scene's
     own method is tried first, which is compiled anyway."""
-    reference, rest = _make(trials, enough), trials.plan.rest
-    if rest is None or not reference.parts:
+    reference = _make(trials, enough)
+    if trials.plan.rest is None or not reference.parts:
         return reference
-    off = np.inf
-    if len(rest):
-        step = fitting(trials.plan.duration, reference.step)
-        outcome = trials.run("f64", reference.method, step, start=rest)
-        if len(outcome.position) == PARTS:
-            off = worst(trials.compared.errors(outcome, reference)[: reference.parts])
+    outcome = settled_run(trials, reference)
+    off = np.inf if outcome is None else worst(trials.compared.errors(outcome, reference)[: reference.parts])
     return replace(reference, settling=off)
+
+
+def settled_run(trials: Trials, reference: Reference) -> Outcome | None:
+    """The run from where the scene's own `settle` leaves the balls; None without one that tells the effect of what it leaves."""
+    rest = trials.plan.rest
+    if rest is None or not len(rest):
+        return None
+    outcome = trials.run("f64", reference.method, fitting(trials.plan.duration, reference.step), start=rest)
+    return outcome if len(outcome.position) == PARTS else None
 
 
 def _make(trials: Trials, enough: float | None) -> Reference:
@@ -159,7 +178,8 @@ def _by(trials: Trials, method: str, seconds: float, fine_enough: float, work: f
             parting = _parting(trials, coarse, trials.run("f64", method, step, start=trials.apart(APART, 0)))
             while True:
                 found = _reference(trials, method, step, coarse, fine, parting)
-                if found.known <= fine_enough * found.motion or _work(trials.scene, step) >= work or not found.parts:
+                good = max(fine_enough * found.motion, found.rounding)
+                if found.known <= good or _work(trials.scene, step) >= work or not found.parts:
                     return found
                 step = halved(duration, step)
                 coarse, fine = fine, trials.run("f64", method, halved(duration, step), contacts=True)
@@ -168,10 +188,18 @@ def _by(trials: Trials, method: str, seconds: float, fine_enough: float, work: f
 
 
 def _parting(trials: Trials, one: Outcome, other: Outcome) -> Floats:
-    """Parting of two runs, as in `Reference.parting`."""
-    unit = trials.size if trials.compared.quantity is None else _motion(trials, one).max() or 1.0
-    parting = [rms(error) / unit for error in trials.compared.errors(one, other)]
-    return np.array(parting + [np.inf] * (PARTS - len(parting)))
+    """Parting of two runs at each of the PARTS: of positions, as a part of the size; of a quantity, as a part of its motion, or
+    of LEAST of the size where that says less. Infinite where a run has ended."""
+    compared = trials.compared
+    parting = np.array([rms(error) for error in compared.errors(one, other)])
+    places = parting / trials.size
+    if compared.unit != "m":
+        places = (
+            np.array([rms(distance(trials.scene, x, y)) for x, y in zip(one.position, other.position)]) / trials.size
+        )
+    if compared.quantity is not None:
+        places = np.minimum(parting / (_motion(trials, one).max() or 1.0), places / LEAST)
+    return np.append(places, [np.inf] * (PARTS - len(places)))
 
 
 def _motion(trials: Trials, outcome: Outcome) -> Floats:
@@ -190,6 +218,7 @@ def _reference(trials: Trials, method: str, step: Step, coarse: Outcome, fine: O
         trials.size,
         position=np.array(fine.position),
         quantity=np.array(fine.quantity) if len(fine.quantity) else np.zeros((PARTS, 0)),
+        begin=fine.begin,
         energy=np.array(fine.energy),
         difference=np.array([rms(error) for error in trials.compared.errors(coarse, fine)]),
         displacement=_motion(trials, fine),

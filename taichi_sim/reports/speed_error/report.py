@@ -14,7 +14,6 @@ from taichi_sim.reports.speed_error import reference as references
 from taichi_sim.reports.speed_error import rows as table
 from taichi_sim.reports.speed_error import statistics
 from taichi_sim.reports.speed_error.budget import Budget
-from taichi_sim.reports.speed_error.compared import worst
 from taichi_sim.reports.speed_error.findings import Findings
 from taichi_sim.reports.speed_error.measure import measure, row_of
 from taichi_sim.reports.speed_error.plan import Plan, about, fitting, own_step, steps_of
@@ -114,7 +113,7 @@ def _with_mesh(trials: Trials, reference: Reference, budget: Budget, meshes: Seq
         if failed:
             break
         outcome = outcome._replace(position=[x[mesh.balls] for x in outcome.position])
-        differences.append(worst(trials.compared.errors(before, outcome)[: reference.parts]))
+        differences.append(trials.compared.error_of_largest(before, outcome, reference.parts))
         before = outcome  # type: ignore[assignment]
     overlaps = [mesh.overlap for mesh in meshes if mesh.overlap]
     if not differences:
