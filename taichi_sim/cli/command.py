@@ -191,7 +191,7 @@ def plain_errors() -> Iterator[None]:
 
 
 def _words_of(error: Exception) -> str | None:
-    """What is said of an error by input, or by the machine; None of others."""
+    """Words on an error that input or the machine is the cause of; None for others."""
     if isinstance(error, OSError) and error.filename is not None:  # as the system gave it
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, (ValueError, BackendError, OSError, ArithmeticError)):  # SceneError is a ValueError

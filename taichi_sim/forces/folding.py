@@ -60,7 +60,7 @@ def folded(strain, of):
                 p = stiff[0] + stiff[1] * c * c + stiff[2] * s * s
                 w = ti.max(0.0, -0.5 * (b[0] + b[1] * c + b[2] * s) / p) * ti.Vector([1.0, c, s])
                 across = ti.sqrt(0.5 * root / p) * _undrawn(stiff * ti.Vector([1.0, c, s]), r)
-                turn = ti.sqrt(0.5 * root) * _turn(c, s, p, z, stiff, r)
+                turn = ti.sqrt(0.5 * root) * _turn(ti.Vector([c, s]), p, z, stiff, r)
             fold = ti.Vector([(w[0] + w[1]) / r, (w[0] - w[1]) * r, 2.0 * w[2]])
             stress = elastic(strain + fold, of)
     energy = 0.5 * (strain + fold).dot(stress) + of.limit * (fold[0] + fold[1])
@@ -74,8 +74,9 @@ def _undrawn(y, r):
 
 
 @ti.func
-def _turn(c, s, p, z, stiff, r):
-    """Vector whose square folds take off C by turning, for a root m of 2."""
+def _turn(n, p, z, stiff, r):
+    """Vector whose square folds take off C by turning, for a root m of 2; n: twice their angle, by cosine and sine."""
+    c, s = n[0], n[1]
     one = ti.Vector([c * s * (stiff[1] - stiff[2]), -s * (stiff[0] + stiff[2]), c * (stiff[0] + stiff[1])])
     h = stiff[0] * (stiff[1] * s * s + stiff[2] * c * c) + stiff[1] * stiff[2]
     return _undrawn(stiff * one, r) / (p * ti.sqrt(z + h / p))
