@@ -24,10 +24,17 @@ BITS_OF_ONE = 0x3F800000  # the bits of 1.0
 def may_touch(pairs: ti.template(), i, j):
     """True if two balls collide at all: not both pinned, of one body, joined by a spring or element, or of groups apart."""
     allowed = pairs.model.inverse_mass[i] + pairs.model.inverse_mass[j] > 0.0 and may_meet(pairs, i, j)
+    return allowed and not are_joined(pairs, i, j)
+
+
+@ti.func
+def are_joined(pairs: ti.template(), i, j):
+    """True if a spring or element joins two balls: at rest they may be nearer than they are thick."""
+    yes = False
     if ti.static(pairs.has_joined):
         for e in range(pairs.joined_start[i], pairs.joined_start[i + 1]):
-            allowed = allowed and pairs.joined_other[e] != j
-    return allowed
+            yes = yes or pairs.joined_other[e] == j
+    return yes
 
 
 @ti.func

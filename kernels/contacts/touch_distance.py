@@ -2,6 +2,7 @@
 
 from taichi_sim.kernels.contacts.closest_points import between_edges, on_triangle
 from taichi_sim.kernels.contacts.kinds import BALL_TRIANGLE, EDGE_EDGE, STICK_FIRST, STICK_SECOND
+from taichi_sim.kernels.contacts.pairs import are_joined
 
 from taichi_sim.device.engine import ti
 
@@ -34,7 +35,7 @@ def distance_at_touch(triangles: ti.template(), b, g, kind, of_edges: ti.templat
             for m in ti.static(range(1, 4)):
                 if is_upper(k, kind) and not is_upper(m, kind):
                     share = ti.abs(g[k] * g[m])
-                    if share > 0.0 and joined(triangles, b[k], b[m]):
+                    if share > 0.0 and are_joined(triangles.pairs, b[k], b[m]):
                         part += share
                         apart = half_thickness(triangles, b, k, kind) + half_thickness(triangles, b, m, kind)
                         most = ti.min(triangles.spacing[b[k]], triangles.spacing[b[m]])
@@ -57,13 +58,3 @@ def distance_at_rest(triangles: ti.template(), b, of_edges: ti.template()):
         w = on_triangle(xa, xb, xc, xd)
         r -= w[0] * xb + w[1] * xc + w[2] * xd
     return r.norm()
-
-
-@ti.func
-def joined(triangles: ti.template(), i, j):
-    """True if a spring or element joins two balls: at rest they may be nearer than they are thick."""
-    yes = False
-    if ti.static(triangles.pairs.has_joined):
-        for e in range(triangles.pairs.joined_start[i], triangles.pairs.joined_start[i + 1]):
-            yes = yes or triangles.pairs.joined_other[e] == j
-    return yes

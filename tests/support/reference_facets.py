@@ -119,7 +119,7 @@ def pairs(x, v, radius, triangles, joined, h, start):
 
 
 def _is_own(i, t, w, x, triangles):
-    """Whether ball i hits triangle t inside; or a side of it and nothing nearer of the triangle beyond, which counts once; or a
+    """True if ball i hits triangle t inside; or a side of it and nothing nearer of the triangle beyond, which counts once; or a
     corner, which counts once of all triangles there and, of two corners, for the lower ball."""
     if np.all(w > 0):
         return True
